@@ -1,0 +1,54 @@
+# Every command of the project. `make` alone lists them.
+# Variables: PYTHON (interpreter to build .venv with), ARGS (passed on to the command).
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format blind validate bench-denoise screenshots docs clean
+
+export PYTHON
+PY := .venv/bin/python
+# One file's tests stay in one process, so module fixtures and compiled functions are made once.
+PYTEST_ARGS ?= -n auto --maxprocesses 4 --dist loadfile --durations=15 -o faulthandler_timeout=300
+
+help: ## list the commands
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' Makefile
+
+setup: ## .venv, all Python packages, missing system libraries (apt when root)
+	@tools/setup.sh all,test
+
+demo: setup ## the main job without a screen: hide an effect, find it from the files alone; writes demo/
+	.venv/bin/napari-mufasa demo --out demo $(ARGS)
+
+test: lint ## lint, then the whole test suite under Xvfb
+	tools/run-tests.sh $(PYTEST_ARGS) $(ARGS)
+
+lint: setup ## ruff format, ruff check, mypy
+	$(PY) -m ruff format --check .
+	$(PY) -m ruff check .
+	$(PY) -m mypy
+
+format: setup ## let ruff format and fix what it can
+	$(PY) -m ruff format .
+	$(PY) -m ruff check --fix .
+
+blind: setup ## hidden-effect trials
+	$(PY) -m tests.blind.trial $(ARGS)
+
+validate: setup ## the physics against known answers
+	$(PY) -m benchmarks.validate $(ARGS)
+
+bench-denoise: setup ## denoisers against ground truth and against BM3D
+	@tools/setup.sh bench
+	$(PY) -m benchmarks.denoise $(ARGS)
+
+screenshots: setup ## pictures of the viewer, drawn under Xvfb
+	xvfb-run -a -s "-screen 0 1600x1000x24" $(PY) tools/screenshots.py $(ARGS)
+
+docs: setup ## the documentation, into site/
+	@tools/setup.sh docs
+	$(PY) -m mkdocs build --strict $(ARGS)
+
+clean: ## remove what the commands made, except .venv
+	rm -rf demo site build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
