@@ -99,7 +99,7 @@ known_names() {
   while read -r names; do
     for name in $names; do
       last="$name"
-      if LC_ALL=C apt-cache policy "$name" 2>/dev/null | grep -q 'Candidate: [^(]'; then break; fi
+      if [[ "$(LC_ALL=C apt-cache policy "$name" 2>/dev/null)" =~ Candidate:\ [^\(] ]]; then break; fi
     done
     echo "$last"
   done
