@@ -1,0 +1,126 @@
+"""Believed models as plain dicts in the model.json format, and the numbers read from them."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+Believed = dict[str, Any]
+
+AVOGADRO_PER_MOL = 6.02214076e23
+PLANCK_J_S = 6.62607015e-34
+LIGHT_SPEED_M_PER_S = 299792458.0
+
+_EMCCD: Believed = {
+    "protocol": "FF",
+    "acquisition": {"n_frames": 300, "frame_length_s": 0.02, "pixel_size_nm": 100.0, "shape_px": [96, 96]},
+    "fluorophore": {
+        "extinction_coefficient_per_M_cm": 55900,
+        "lifetime_s": 2.6e-9,
+        "quantum_yield": 0.6,
+        "cycles_before_bleaching": None,
+        "isc_ratio": None,
+        "triplet_decay_rate_per_s": None,
+    },
+    "excitation": {"wavelength_nm": 488, "power_density_w_per_cm2": 30, "activation_rate_per_s": None},
+    "optics": {"psf_fwhm_nm": 300, "collection_efficiency": 0.6, "background_photons_per_px": 10},
+    "camera": {
+        "type": "EMCCD",
+        "quantum_efficiency": 0.9,
+        "read_noise_e": 50,
+        "clock_induced_charge_e": 0.002,
+        "electrons_per_adu": 12,
+        "baseline_adu": 200,
+        "adc_max": 65535,
+        "em_gain": 300,
+    },
+    "effects": [],
+}
+
+
+def base_model(name: str = "emccd") -> Believed:
+    """Return a fresh believed model: ``emccd``, ``emccd_bleach``, ``emccd_short``, ``cmos`` or ``ccd``."""
+    model = copy.deepcopy(_EMCCD)
+    if name == "emccd":
+        return model
+    if name == "emccd_bleach":
+        # Mean life k01/N_c: 12.7 s against a movie of 6 s, so about 38 % bleach.
+        model["fluorophore"]["cycles_before_bleaching"] = 2e5
+        return model
+    if name == "emccd_short":
+        model["acquisition"].update(n_frames=120, shape_px=[64, 64])
+        return model
+    if name == "cmos":
+        model["camera"] = {
+            "type": "CMOS",
+            "quantum_efficiency": 0.8,
+            "read_noise_e": 1.6,
+            "clock_induced_charge_e": 0.002,
+            "electrons_per_adu": 0.5,
+            "baseline_adu": 100,
+            "adc_max": 65535,
+        }
+        return model
+    if name == "ccd":
+        # A plain CCD needs more light: four times the power, background with it.
+        model["excitation"]["power_density_w_per_cm2"] = 120
+        model["optics"]["background_photons_per_px"] = 25
+        model["camera"] = {
+            "type": "CCD",
+            "quantum_efficiency": 0.9,
+            "read_noise_e": 6.0,
+            "clock_induced_charge_e": 0.002,
+            "electrons_per_adu": 1.5,
+            "baseline_adu": 300,
+            "adc_max": 65535,
+        }
+        return model
+    raise ValueError(f"base model {name!r} unknown; choose emccd, emccd_bleach, emccd_short, cmos or ccd")
+
+
+BASE_NAMES = ("emccd", "emccd_bleach", "emccd_short", "cmos", "ccd")
+
+
+def excitation_rate_per_s(model: Believed) -> float:
+    """k01 of SPEC section 2."""
+    return (
+        model["fluorophore"]["extinction_coefficient_per_M_cm"]
+        * model["excitation"]["power_density_w_per_cm2"]
+        * model["excitation"]["wavelength_nm"]
+        * 1e-6
+        * math.log(10.0)
+        / (AVOGADRO_PER_MOL * PLANCK_J_S * LIGHT_SPEED_M_PER_S)
+    )
+
+
+def s1_branching(model: Believed) -> tuple[float, float, float]:
+    """Probability per excitation of fluorescence relaxation, of crossing to T1 and of bleaching."""
+    dye = model["fluorophore"]
+    isc = dye.get("isc_ratio") or 0.0
+    cycles = dye.get("cycles_before_bleaching")
+    bleach = 1.0 / cycles if cycles else 0.0
+    total = 1.0 + isc + bleach
+    return 1.0 / total, isc / total, bleach / total
+
+
+def cycle_rate_per_s(model: Believed) -> float:
+    """Excitations per second of a molecule that is never dark: one per mean S0 time plus mean S1 time."""
+    relax, _, _ = s1_branching(model)
+    s1_time_s = model["fluorophore"]["lifetime_s"] * relax
+    return 1.0 / (1.0 / excitation_rate_per_s(model) + s1_time_s)
+
+
+def photons_per_s(model: Believed) -> float:
+    """Photons per second that reach the detector from one molecule while it is bright."""
+    relax, _, _ = s1_branching(model)
+    quantum_yield = model["fluorophore"].get("quantum_yield")
+    quantum_yield = 1.0 if quantum_yield is None else quantum_yield
+    collection = model["optics"].get("collection_efficiency")
+    collection = 1.0 if collection is None else collection
+    return cycle_rate_per_s(model) * relax * quantum_yield * collection
+
+
+def sigma_px(model: Believed) -> float:
+    """Standard deviation of the Gaussian PSF in pixels."""
+    return model["optics"]["psf_fwhm_nm"] / 2.3548 / model["acquisition"]["pixel_size_nm"]
