@@ -1,0 +1,174 @@
+"""CCD, EMCCD and CMOS detectors: `expose` (photons → ADU) and its inverse, side by side (SPEC.md §4, §5).
+
+The steps are numbered in both directions. Imperfections hook in between the steps (`SensorHooks`); an ideal
+sensor has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.streams import Streams
+
+if TYPE_CHECKING:
+    from napari_mufasa.model import Camera
+
+Stack = NDArray[np.float32]  # (frame, y, x)
+Hook = Callable[[Stack, NDArray[np.int64]], Stack]
+"""Takes a stack and the frame number of each of its frames; returns the changed stack.
+
+A hook on ``amplified`` may look at earlier frames: `SensorHooks.memory_frames` of them come along."""
+
+
+@dataclass
+class SensorHooks:
+    """What a real sensor does beyond the ideal camera, by the step it happens in."""
+
+    expected: list[Hook] = field(default_factory=list)  # expected photoelectrons, before shot noise
+    amplified: list[Hook] = field(default_factory=list)  # electrons after the gain, before read-out
+    output: list[Hook] = field(default_factory=list)  # electrons with read noise, before the ADC
+    excess_noise_factor: float | None = None  # F² of the multiplication; None: the camera's own (2 or 1)
+    memory_frames: int = 0  # how many earlier frames the `amplified` hooks need
+
+
+IDEAL = SensorHooks()
+
+
+def expose(
+    photons: Stack, camera: Camera, streams: Streams, frames: NDArray[np.int64], hooks: SensorHooks = IDEAL
+) -> NDArray[np.uint16]:
+    """Record photons: (frame, y, x) expected photons per pixel → (frame, y, x) ADU, uint16.
+
+    `frames` numbers the frames given; every frame draws from its own stream, so any block of a movie can be
+    recorded alone. The first `hooks.memory_frames` frames only feed the sensor's memory: frames before the
+    block must be given first where the movie has them, and are returned as recorded too.
+    """
+    # 1 detection: n_ie ~ Poisson(QE x̃ + c)
+    expected = camera.quantum_efficiency * photons + np.float32(camera.clock_induced_charge_e)
+    for hook in hooks.expected:
+        expected = hook(expected, frames)
+    rngs = [streams.of("camera", int(f)) for f in frames]
+    electrons = np.empty(expected.shape, dtype=np.float32)
+    for i, rng in enumerate(rngs):
+        electrons[i] = rng.poisson(np.maximum(expected[i], 0.0))
+        # 2 multiplication or conversion
+        electrons[i] = _amplify(electrons[i], camera, rng, hooks.excess_noise_factor)
+    # 3 what happens to the charge on its way out
+    for hook in hooks.amplified:
+        electrons = hook(electrons, frames)
+    # 4 read noise N(μ, σ²)
+    sigma = read_noise_map_e(camera)
+    for i, rng in enumerate(rngs):
+        electrons[i] += sigma * rng.standard_normal(electrons.shape[1:], dtype=np.float32)
+    electrons += np.float32(camera.read_noise_mean_e)
+    for hook in hooks.output:
+        electrons = hook(electrons, frames)
+    # 5 digitisation: min(⌊n_oe/e_per_ADU⌋ + BL, ADC_max), never below 0
+    adu = np.floor(electrons / np.float32(camera.electrons_per_adu)) + baseline_map_adu(camera)
+    return np.clip(adu, 0, camera.adc_max).astype(np.uint16)
+
+
+def output_electrons(movie: NDArray[Any], camera: Camera) -> Stack:
+    """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (SPEC.md §5.1). Negative values are kept on purpose."""
+    _check_maps(movie, camera)
+    half = np.float32(0.5) - baseline_map_adu(camera)
+    mean_e = np.float32(camera.read_noise_mean_e)
+    return (np.asarray(movie, dtype=np.float32) + half) * np.float32(camera.electrons_per_adu) - mean_e
+
+
+def photoelectrons(movie: NDArray[Any], camera: Camera) -> Stack:
+    """Undo steps 5 and 2: ADU → photoelectrons (n_ie with noise), float32."""
+    electrons = output_electrons(movie, camera)
+    if camera.type == "EMCCD":
+        return electrons / np.float32(_gain(camera))
+    if camera.type == "CMOS":
+        return cmos_response_inverse(electrons, camera)
+    return electrons if camera.gain_map is None else electrons / camera.gain_map.astype(np.float32)
+
+
+def photons(electrons: NDArray[np.floating], camera: Camera) -> Stack:
+    """Undo step 1: photoelectrons → photons, (n − c)/QE."""
+    return np.asarray((electrons - camera.clock_induced_charge_e) / camera.quantum_efficiency, np.float32)
+
+
+def multiplication_noise(camera: Camera) -> float:
+    """α of the photoelectron signal: variance/mean after division by the gain; 2 for an EMCCD, else 1."""
+    return 2.0 if camera.type == "EMCCD" else 1.0
+
+
+def read_noise_map_e(camera: Camera) -> Any:
+    """Read noise in output electrons rms: a scalar, or the (y, x) map of the camera."""
+    if camera.variance_map_e2 is not None:
+        return np.sqrt(camera.variance_map_e2).astype(np.float32)
+    return np.float32(camera.read_noise_e)
+
+
+def baseline_map_adu(camera: Camera) -> Any:
+    """Baseline in ADU: a scalar, or a (y, x) map."""
+    if camera.offset_map_adu is not None:
+        return (camera.baseline_adu + camera.offset_map_adu).astype(np.float32)
+    return np.float32(camera.baseline_adu)
+
+
+def cmos_response(electrons: NDArray[np.floating], camera: Camera) -> Stack:
+    """g_p: photoelectrons → output electrons, piecewise linear, continued with its last slope."""
+    return (_interpolate(electrons, *_knots(camera)) * _gain_map(camera)).astype(np.float32)
+
+
+def cmos_response_inverse(electrons: NDArray[np.floating], camera: Camera) -> Stack:
+    """g_p⁻¹: output electrons → photoelectrons, per pixel; negative values follow the first slope."""
+    into, out = _knots(camera)
+    return _interpolate(electrons / _gain_map(camera), out, into).astype(np.float32)
+
+
+def _knots(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    knots = np.asarray(camera.cmos_gain_curve, dtype=float)
+    return knots[:, 0], knots[:, 1]
+
+
+def _interpolate(values: NDArray[np.floating], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    inner = np.interp(values, x, y)
+    below = y[0] + (values - x[0]) * (y[1] - y[0]) / (x[1] - x[0])
+    above = y[-1] + (values - x[-1]) * (y[-1] - y[-2]) / (x[-1] - x[-2])
+    result: NDArray[np.float64] = np.where(values < x[0], below, np.where(values > x[-1], above, inner))
+    return result
+
+
+def _gain_map(camera: Camera) -> Any:
+    return np.float32(1.0) if camera.gain_map is None else camera.gain_map.astype(np.float32)
+
+
+def _gain(camera: Camera) -> Any:
+    return float(camera.em_gain or 1.0) * _gain_map(camera)
+
+
+def _amplify(
+    electrons: Stack, camera: Camera, rng: np.random.Generator, excess_noise_factor: float | None
+) -> NDArray[Any]:
+    """Step 2. A multiplication with excess noise factor F² = 1 + 1/k gives Gamma(shape k·n, scale g/k)."""
+    if camera.type == "CMOS":
+        return cmos_response(electrons, camera)
+    if excess_noise_factor is None:
+        excess_noise_factor = multiplication_noise(camera)
+    if excess_noise_factor <= 1.0:
+        return electrons * _gain(camera)
+    shape = 1.0 / (excess_noise_factor - 1.0)
+    # standard_gamma(0) is 0: no electron in, none out.
+    amplified = rng.standard_gamma(shape * electrons, dtype=np.float32)
+    return amplified * np.float32(1.0 / shape) * _gain(camera)
+
+
+def _check_maps(movie: NDArray[Any], camera: Camera) -> None:
+    for name in ("offset_map_adu", "gain_map"):
+        value = getattr(camera, name)
+        if value is not None and tuple(movie.shape[-2:]) != value.shape:
+            raise MufasaError(
+                f"movie frames are {tuple(movie.shape[-2:])}, camera.{name} is {value.shape}: "
+                "crop the map to the movie's region"
+            )

@@ -1,0 +1,138 @@
+"""What an effect is: named parameters, what it does to a scene, and words a user understands.
+
+An effect is data in ``model.effects``. The simulator builds a `Scene` from the model and lets every effect
+change it once (`Effect.apply`); nothing else in the simulator knows which effects exist. A third party
+registers a class under the entry-point group ``napari_mufasa.effects``.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+if TYPE_CHECKING:
+    from napari_mufasa.scene import Scene
+
+ENTRY_POINT_GROUP = "napari_mufasa.effects"
+STAGES = ("photophysics", "illumination", "sample motion", "optics and background", "camera")
+
+
+def parameter(
+    default: float, *, ge: float | None = None, gt: float | None = None, le: float | None = None,
+    plausible: tuple[float, float], unit: str, description: str, log: bool = False,
+) -> Any:  # fmt: skip
+    """A numeric effect parameter: hard limits, the plausible range a search covers, unit and meaning."""
+    return Field(
+        default,
+        ge=ge,
+        gt=gt,
+        le=le,
+        description=description,
+        json_schema_extra={"plausible": list(plausible), "unit": unit, "log": log},
+    )
+
+
+class Effect(BaseModel):
+    """One physical mechanism. Subclasses declare parameters as fields and override `apply`.
+
+    Class attributes
+    ----------------
+    kind : identifier in model.json (SPEC.md §9)
+    stage : one of `STAGES`
+    strength : name of the parameter whose zero (or `null_value`) switches the effect off
+    title, what_it_is, what_it_does, how_to_check : one paragraph a biologist understands, in three sentences
+    observables : prefixes of the observables it moves most
+    rivals : kinds it is easily confused with
+    separated_by : the extra measurement that separates them
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    kind: ClassVar[str] = ""
+    stage: ClassVar[str] = ""
+    strength: ClassVar[str] = ""
+    null_value: ClassVar[float] = 0.0
+    title: ClassVar[str] = ""
+    what_it_is: ClassVar[str] = ""
+    what_it_does: ClassVar[str] = ""
+    how_to_check: ClassVar[str] = ""
+    observables: ClassVar[tuple[str, ...]] = ()
+    rivals: ClassVar[tuple[str, ...]] = ()
+    separated_by: ClassVar[str] = ""
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Change the scene in place; `rng` is this effect's own stream."""
+        raise NotImplementedError(f"effect {type(self).__name__} does nothing: override apply()")
+
+    @classmethod
+    def suits(cls, model: Any) -> bool:
+        """Whether the effect makes sense for this model (an EM register needs an EMCCD, …)."""
+        return True
+
+    def model_dump(self, **kwargs: Any) -> dict[str, Any]:
+        return {"kind": self.kind, **super().model_dump(**kwargs)}
+
+    @classmethod
+    def plausible(cls) -> dict[str, tuple[float, float, bool]]:
+        """Numeric parameters with their plausible range and whether it is searched on a log scale."""
+        found = {}
+        for name, field in cls.model_fields.items():
+            extra = field.json_schema_extra
+            if isinstance(extra, dict) and "plausible" in extra:
+                bounds: Any = extra["plausible"]
+                found[name] = (float(bounds[0]), float(bounds[1]), bool(extra["log"]))
+        return found
+
+    @classmethod
+    def unit(cls, name: str) -> str:
+        extra = cls.model_fields[name].json_schema_extra
+        return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+    @classmethod
+    def forms(cls) -> tuple[str, ...]:
+        """The functional forms the effect offers (its ``form`` field), or one unnamed form."""
+        field = cls.model_fields.get("form")
+        return tuple(getattr(field.annotation, "__args__", ())) if field is not None else ("",)
+
+
+@cache
+def catalogue() -> dict[str, type[Effect]]:
+    """All effects by kind: the built-in ones in the order of SPEC.md §9, then installed third-party ones."""
+    from importlib.metadata import entry_points
+
+    from napari_mufasa.effects import camera, illumination, motion, optics, photophysics
+
+    found: dict[str, type[Effect]] = {}
+    for module in (photophysics, illumination, motion, optics, camera):
+        found.update({effect.kind: effect for effect in module.EFFECTS})
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        effect = point.load()
+        if not (isinstance(effect, type) and issubclass(effect, Effect) and effect.kind):
+            raise TypeError(f"entry point {point.name} ({point.value}) is not an Effect with a kind")
+        found.setdefault(effect.kind, effect)
+    return found
+
+
+def effect_class(kind: str) -> type[Effect]:
+    """The class of an effect; raises ValueError naming near and known kinds."""
+    known = catalogue()
+    if kind not in known:
+        near = difflib.get_close_matches(kind, known, n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ValueError(f"no effect {kind!r}: {hint}known effects are {', '.join(known)}")
+    return known[kind]
+
+
+def effect_from_data(data: Any) -> Effect:
+    """An effect from ``{"kind": …, parameters}``, or the effect itself."""
+    if isinstance(data, Effect):
+        return data
+    if not isinstance(data, Mapping) or "kind" not in data:
+        raise ValueError(f'an effect is {{"kind": …, parameters}}, got {data!r}')
+    values = {name: value for name, value in data.items() if name != "kind"}
+    return effect_class(str(data["kind"])).model_validate(values)

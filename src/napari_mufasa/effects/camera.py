@@ -1,0 +1,352 @@
+"""Camera effects: what a real sensor does beyond the ideal one (SPEC.md §9).
+
+Electrons here are output electrons unless a name says photoelectrons; strengths are given in units a data
+sheet or a dark frame shows.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.camera import Stack
+from napari_mufasa.effects.base import Effect, parameter
+from napari_mufasa.effects.illumination import course
+from napari_mufasa.scene import Scene
+
+STAGE = "camera"
+Frames = NDArray[np.int64]
+
+
+def _gain(scene: Scene) -> float:
+    """Output electrons per photoelectron near zero signal."""
+    camera = scene.model.camera
+    if camera.type == "CMOS":
+        (x0, y0), (x1, y1) = camera.cmos_gain_curve[:2]
+        return (y1 - y0) / (x1 - x0)
+    return float(camera.em_gain or 1.0)
+
+
+def _adu(scene: Scene) -> float:
+    return scene.model.camera.electrons_per_adu
+
+
+class EMExcessNoise(Effect):
+    kind = "em_excess_noise"
+    stage = STAGE
+    strength = "excess_noise_factor"
+    null_value = 2.0
+    title = "Other excess noise than an ideal EM register"
+    what_it_is = "The multiplication register adds more or less noise than the ideal factor F² = 2."
+    what_it_does = "The variance for a given mean is off, for spots and background alike."
+    how_to_check = "Take a photon-transfer series at low and high gain."
+    observables = ("photon_transfer", "background_skewness")
+    rivals = ("detector_saturation", "triplet_blinking")
+    separated_by = "photon-transfer slope and skewness together"
+
+    excess_noise_factor: float = parameter(
+        1.4,
+        ge=1,
+        le=5,
+        plausible=(1.0, 3.0),
+        unit="",
+        description="F² = variance/mean after division by the gain",
+    )
+
+    @classmethod
+    def suits(cls, model: Any) -> bool:
+        return bool(model.camera.type == "EMCCD")
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        scene.sensor.excess_noise_factor = self.excess_noise_factor
+
+
+class ClockInducedCharge(Effect):
+    kind = "clock_induced_charge"
+    stage = STAGE
+    strength = "electrons"
+    title = "Clock-induced charge"
+    what_it_is = "Clocking the charge makes spurious electrons before the register."
+    what_it_does = "Single-electron events appear in every frame, dark ones too."
+    how_to_check = "Take dark frames: the tail of bright single pixels is there without light."
+    observables = ("dark_mean", "dark_tail")
+    rivals = ("baseline_drift",)
+    separated_by = "dark frames only"
+
+    electrons: float = parameter(
+        0.05,
+        ge=0,
+        plausible=(0.003, 0.5),
+        unit="e⁻/px/frame",
+        log=True,
+        description="spurious electrons added",
+    )
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        scene.sensor.expected.append(lambda e, frames: e + np.float32(self.electrons))
+
+
+class PixelGainVariation(Effect):
+    kind = "pixel_gain_variation"
+    stage = STAGE
+    strength = "rms"
+    title = "Pixel response non-uniformity"
+    what_it_is = "Pixels answer the same light with different signals."
+    what_it_does = "A fixed pattern that grows with the signal."
+    how_to_check = "Take a flat field."
+    observables = ("pixel_pattern", "pixel_gain")
+    rivals = ("column_offset", "hot_pixels")
+    separated_by = "whether the pattern scales with the light; dark frames do not show it"
+
+    rms: float = parameter(
+        0.05,
+        ge=0,
+        le=1,
+        plausible=(0.005, 0.2),
+        unit="",
+        log=True,
+        description="relative rms of the response",
+    )
+    form: Literal["pixels", "columns"] = "pixels"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        shape = scene.shape_px if self.form == "pixels" else (1, scene.shape_px[1])
+        response = np.maximum(1 + self.rms * rng.standard_normal(shape), 0.0).astype(np.float32)
+        scene.sensor.amplified.append(lambda e, frames: e * response)
+
+
+class ColumnOffset(Effect):
+    kind = "column_offset"
+    stage = STAGE
+    strength = "rms_adu"
+    title = "Fixed offset pattern"
+    what_it_is = "Column (or pixel) amplifiers have different offsets."
+    what_it_does = "A fixed pattern of stripes, the same with and without light."
+    how_to_check = "Average dark frames: the stripes are there."
+    observables = ("column_pattern", "pixel_pattern", "dark_pattern")
+    rivals = ("pixel_gain_variation",)
+    separated_by = "present in dark frames"
+
+    rms_adu: float = parameter(3.0, ge=0, plausible=(0.2, 20), unit="ADU", log=True, description="rms of the offsets")
+    form: Literal["columns", "pixels"] = "columns"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        shape = scene.shape_px if self.form == "pixels" else (1, scene.shape_px[1])
+        offset = (self.rms_adu * _adu(scene) * rng.standard_normal(shape)).astype(np.float32)
+        scene.sensor.output.append(lambda e, frames: e + offset)
+
+
+class RowNoise(Effect):
+    kind = "row_noise"
+    stage = STAGE
+    strength = "rms_adu"
+    title = "Row read-out noise"
+    what_it_is = "Read-out electronics add a random offset to each row of each frame."
+    what_it_does = "Horizontal streaks that change from frame to frame."
+    how_to_check = "Look at single dark frames."
+    observables = ("row_noise",)
+    rivals = ("laser_flicker",)
+    separated_by = "rows independent within a frame"
+
+    rms_adu: float = parameter(
+        3.0, ge=0, plausible=(0.2, 20), unit="ADU", log=True, description="rms of the row offsets"
+    )
+    form: Literal["rows", "drifting_rows"] = "rows"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        rms, height = self.rms_adu * _adu(scene), scene.shape_px[0]
+
+        def add(electrons: Stack, frames: Frames) -> Stack:
+            for i, f in enumerate(frames):
+                noise = rms * scene.streams.of("row noise", int(f)).standard_normal(height)
+                if self.form == "drifting_rows":  # neighbouring rows share their offset
+                    noise = np.convolve(np.pad(noise, 4, mode="wrap"), np.ones(9) / 3, mode="valid")
+                electrons[i] += noise[:, None].astype(np.float32)
+            return electrons
+
+        scene.sensor.output.append(add)
+
+
+class HotPixels(Effect):
+    kind = "hot_pixels"
+    stage = STAGE
+    strength = "fraction"
+    title = "Hot pixels"
+    what_it_is = "Leaky pixels collect charge without light."
+    what_it_does = "Single bright pixels, narrower than any spot, at fixed places."
+    how_to_check = "Take dark frames; cool the camera."
+    observables = ("narrow_bright", "dark_tail", "dark_pattern")
+    rivals = ("cosmic_rays", "pixel_gain_variation")
+    separated_by = "narrower than the PSF, always there, in dark frames too"
+
+    fraction: float = parameter(
+        2e-3, ge=0, le=0.5, plausible=(1e-4, 2e-2), unit="", log=True, description="share of pixels that leak"
+    )
+    electrons: float = parameter(
+        10.0, gt=0, plausible=(2, 50), unit="e⁻/frame", log=True, description="mean leak of a hot pixel"
+    )
+    form: Literal["steady", "telegraph"] = "steady"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        hot = rng.random(scene.shape_px) < self.fraction
+        leak = (hot * rng.exponential(self.electrons, scene.shape_px)).astype(np.float32)
+        where = np.nonzero(leak)
+        on: Any = np.ones((scene.n_frames, len(where[0])), dtype=np.float32)
+        if self.form == "telegraph":  # on and off for about twenty frames each
+            switches = rng.random(on.shape) < 1 / 20
+            on = ((np.cumsum(switches, axis=0) + rng.integers(0, 2, on.shape[1])) % 2).astype(np.float32)
+
+        def add(expected: Stack, frames: Frames) -> Stack:
+            expected[:, where[0], where[1]] += leak[where] * on[frames]
+            return expected
+
+        scene.sensor.expected.append(add)
+
+
+class DetectorSaturation(Effect):
+    kind = "detector_saturation"
+    stage = STAGE
+    strength = "inverse_full_scale"
+    title = "Detector saturation"
+    what_it_is = "Full wells and amplifiers bend at high signal."
+    what_it_does = "Bright spots have flat tops and too little variance."
+    how_to_check = "Take an exposure series: the signal stops growing with time."
+    observables = ("photon_transfer", "peak_quantile", "spot_width")
+    rivals = ("em_excess_noise",)
+    separated_by = "the top bins of the photon-transfer curve"
+
+    inverse_full_scale: float = parameter(
+        0.02, ge=0, plausible=(0.003, 0.2), unit="1/e⁻", log=True,
+        description="1 / (photoelectrons per pixel at which the response has bent by its form)",
+    )  # fmt: skip
+    form: Literal["soft", "hard"] = "soft"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        if self.inverse_full_scale == 0:
+            return
+        full = np.float32(_gain(scene) / self.inverse_full_scale)
+
+        def bend(electrons: Stack, frames: Frames) -> Stack:
+            if self.form == "hard":
+                return np.minimum(electrons, full)
+            return electrons / (1 + np.maximum(electrons, 0) / full)
+
+        scene.sensor.amplified.append(bend)
+
+
+class ImageLag(Effect):
+    kind = "image_lag"
+    stage = STAGE
+    strength = "fraction"
+    title = "Image lag"
+    what_it_is = "Some charge of a frame is read with the next ones."
+    what_it_does = "Every pixel remembers its last value; a vanished spot leaves a shadow."
+    how_to_check = "Flash the light: the first dark frame is not dark."
+    observables = ("pixel_lag", "autocorrelation")
+    rivals = ("triplet_blinking",)
+    separated_by = "lag-1 correlation of pixels without molecules"
+
+    fraction: float = parameter(
+        0.05,
+        ge=0,
+        le=0.9,
+        plausible=(0.005, 0.3),
+        unit="",
+        log=True,
+        description="share of charge left behind",
+    )
+    form: Literal["one_frame", "decaying"] = "one_frame"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        # A remainder of fraction^depth is left out; 1e-4 of the signal is far under the noise.
+        depth = 1
+        if self.form == "decaying" and self.fraction > 0:
+            depth = max(1, min(40, int(np.ceil(np.log(1e-4) / np.log(self.fraction)))))
+        scene.sensor.memory_frames = max(scene.sensor.memory_frames, depth)
+        f = np.float32(self.fraction)
+
+        def lag(electrons: Stack, frames: Frames) -> Stack:
+            result = (1 - f) * electrons
+            for back in range(1, depth + 1):
+                weight = f if self.form == "one_frame" else (1 - f) * f**back
+                result[back:] += weight * electrons[: len(electrons) - back]
+                # The sensor was in the same light before the movie began.
+                result[:back] += weight * electrons[:1]
+            return result
+
+        scene.sensor.amplified.append(lag)
+
+
+class BaselineDrift(Effect):
+    kind = "baseline_drift"
+    stage = STAGE
+    strength = "drift_adu"
+    title = "Baseline drift"
+    what_it_is = "The camera's offset wanders with temperature."
+    what_it_does = "The mean of every pixel moves; its variance does not."
+    how_to_check = "Watch dark or shaded pixels over time."
+    observables = ("background_time", "dark_trend")
+    rivals = ("background_decay", "laser_drift")
+    separated_by = "variance against mean over time; overscan or dark frames"
+
+    drift_adu: float = parameter(
+        8.0, ge=-1e4, le=1e4, plausible=(-40, 40), unit="ADU", description="change from first to last frame"
+    )
+    form: Literal["linear", "saturating", "step", "wandering"] = "linear"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        offset_e = (self.drift_adu * _adu(scene) * course(self.form, scene.progress, rng)).astype(np.float32)
+        scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
+
+
+class CosmicRays(Effect):
+    kind = "cosmic_rays"
+    stage = STAGE
+    strength = "hits_per_frame"
+    title = "Cosmic rays"
+    what_it_is = "Charged particles hit the sensor."
+    what_it_does = "Single pixels or short tracks flash in one frame only."
+    how_to_check = "Take long dark series; hits never repeat."
+    observables = ("single_frame_outliers", "dark_tail")
+    rivals = ("hot_pixels",)
+    separated_by = "they never repeat at the same pixel"
+
+    hits_per_frame: float = parameter(
+        0.05,
+        ge=0,
+        plausible=(0.005, 1.0),
+        unit="1/frame",
+        log=True,
+        description="hits per frame on the field",
+    )
+    electrons: float = parameter(
+        400.0, gt=0, plausible=(100, 2000), unit="e⁻", log=True, description="mean photoelectrons of a hit"
+    )
+    form: Literal["points", "tracks"] = "points"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        gain, shape = _gain(scene), scene.shape_px
+
+        def hit(electrons: Stack, frames: Frames) -> Stack:
+            for i, f in enumerate(frames):
+                draw = scene.streams.of("cosmic rays", int(f))
+                for _ in range(draw.poisson(self.hits_per_frame)):
+                    charge = draw.exponential(self.electrons) * gain
+                    y, x = draw.random(2) * shape
+                    length = 1 if self.form == "points" else int(draw.integers(2, 8))
+                    angle = draw.uniform(0, 2 * np.pi)
+                    for step in range(length):
+                        r, c = int(y + step * np.sin(angle)), int(x + step * np.cos(angle))
+                        if 0 <= r < shape[0] and 0 <= c < shape[1]:
+                            electrons[i, r, c] += charge / length
+            return electrons
+
+        scene.sensor.amplified.append(hit)
+
+
+EFFECTS = (
+    EMExcessNoise, ClockInducedCharge, PixelGainVariation, ColumnOffset, RowNoise, HotPixels, DetectorSaturation,
+    ImageLag, BaselineDrift, CosmicRays,
+)  # fmt: skip

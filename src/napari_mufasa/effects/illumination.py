@@ -1,0 +1,152 @@
+"""Illumination effects: light that is not the same everywhere or always (SPEC.md §9)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.effects.base import Effect, parameter
+from napari_mufasa.scene import Array, Scene
+
+STAGE = "illumination"
+
+
+def course(form: str, progress: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering."""
+    if form == "linear":
+        return progress
+    if form == "saturating":
+        return (1 - np.exp(-4 * progress)) / (1 - np.exp(-4))
+    if form == "accelerating":
+        return progress**2
+    if form == "step":
+        result: NDArray[np.float64] = 1 / (1 + np.exp(-(progress - 0.5) * 60))
+        return result
+    walk = np.cumsum(rng.standard_normal(len(progress)))
+    walk -= walk[0]
+    return walk / max(np.abs(walk).max(), 1e-12)
+
+
+class IlluminationProfile(Effect):
+    kind = "illumination_profile"
+    stage = STAGE
+    strength = "edge_dimming"
+    title = "Uneven illumination"
+    what_it_is = "The laser beam is brighter in one place than at the edges of the field."
+    what_it_does = "Spots and background both fade towards the dim side."
+    how_to_check = "Image a flat dye slide; move the sample: the bright region stays with the microscope."
+    observables = ("level_position", "background_map")
+    rivals = ("background_gradient", "brightness_heterogeneity")
+    separated_by = "spot brightness against position; a flat dye slide"
+
+    edge_dimming: float = parameter(
+        0.4,
+        ge=0,
+        le=0.99,
+        plausible=(0.05, 0.85),
+        unit="",
+        description="light lost at the field's dimmest edge",
+    )
+    form: Literal["gaussian", "off_centre", "linear"] = "gaussian"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        angle = rng.uniform(0, 2 * np.pi)
+
+        def profile(y: Array, x: Array) -> Array:
+            v, u = scene.centred(y, x)
+            if self.form == "linear":
+                along = u * np.cos(angle) + v * np.sin(angle)
+                return np.clip(1 - self.edge_dimming * (0.5 + along / (2 * np.sqrt(2))) * np.sqrt(2), 0.0, None)
+            cy, cx = (0.5 * np.sin(angle), 0.5 * np.cos(angle)) if self.form == "off_centre" else (0.0, 0.0)
+            decay = np.log(1 - self.edge_dimming)
+            return np.exp(decay * ((v - cy) ** 2 + (u - cx) ** 2) / (1 + cy**2 + cx**2))
+
+        # The brightness believed is that of the field's mean, so only the shape is new.
+        mean = float(np.mean(profile(*scene.pixel_coordinates())))
+        scene.light_field.append(lambda y, x: profile(y, x) / mean)
+
+
+class LaserDrift(Effect):
+    kind = "laser_drift"
+    stage = STAGE
+    strength = "change"
+    title = "Laser power drift"
+    what_it_is = "The power at the sample changes slowly during the movie."
+    what_it_does = "Spots and background rise or fall together."
+    how_to_check = "Log the power with a photodiode."
+    observables = ("level_trend", "background_time")
+    rivals = ("background_decay", "baseline_drift", "focus_drift")
+    separated_by = "a photodiode trace; dark frames; spot level against background"
+
+    change: float = parameter(
+        -0.25,
+        ge=-0.95,
+        le=5,
+        plausible=(-0.5, 0.5),
+        unit="",
+        description="relative change from first to last frame",
+    )
+    form: Literal["linear", "saturating", "step", "wandering"] = "linear"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        scene.light = np.maximum(scene.light * (1 + self.change * course(self.form, scene.progress, rng)), 0.0)
+
+
+class LaserFlicker(Effect):
+    kind = "laser_flicker"
+    stage = STAGE
+    strength = "rms"
+    title = "Laser flicker"
+    what_it_is = "The laser's power fluctuates from frame to frame."
+    what_it_does = "All spots and the background flicker in unison, without a period."
+    how_to_check = "Log the power with a photodiode."
+    observables = ("common_mode",)
+    rivals = ("periodic_modulation", "row_noise")
+    separated_by = "the spectrum of the common mode; a photodiode trace"
+
+    rms: float = parameter(
+        0.05, ge=0, le=1, plausible=(0.005, 0.2), unit="", log=True, description="relative rms of the light"
+    )
+    form: Literal["white", "pink"] = "white"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        noise = rng.standard_normal(scene.n_frames)
+        if self.form == "pink":
+            spectrum = np.fft.rfft(noise)
+            frequency = np.maximum(np.fft.rfftfreq(scene.n_frames), 1.0 / scene.n_frames)
+            noise = np.fft.irfft(spectrum / np.sqrt(frequency), scene.n_frames)
+            noise = (noise - noise.mean()) / max(noise.std(), 1e-12)
+        scene.light = np.maximum(scene.light * (1 + self.rms * noise), 0.0)
+
+
+class PeriodicModulation(Effect):
+    kind = "periodic_modulation"
+    stage = STAGE
+    strength = "amplitude"
+    title = "Periodic light modulation"
+    what_it_is = "Mains ripple or another periodic disturbance of the light, seen through the frame rate."
+    what_it_does = "All spots and the background swing in unison at one frequency."
+    how_to_check = "Change the frame rate: the period changes; look at the photodiode's spectrum."
+    observables = ("common_mode",)
+    rivals = ("laser_flicker",)
+    separated_by = "the spectrum of the common mode at two frame rates"
+
+    amplitude: float = parameter(
+        0.08, ge=0, le=1, plausible=(0.01, 0.25), unit="", log=True, description="relative amplitude"
+    )
+    period_frames: float = parameter(
+        9.0, gt=2, plausible=(2.5, 40), unit="frames", log=True, description="period as recorded"
+    )
+    form: Literal["sine", "square"] = "sine"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        phase = rng.uniform(0, 2 * np.pi)
+        wave = np.sin(2 * np.pi * np.arange(scene.n_frames) / self.period_frames + phase)
+        if self.form == "square":
+            wave = np.sign(wave)
+        scene.light = np.maximum(scene.light * (1 + self.amplitude * wave), 0.0)
+
+
+EFFECTS = (IlluminationProfile, LaserDrift, LaserFlicker, PeriodicModulation)

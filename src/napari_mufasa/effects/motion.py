@@ -1,0 +1,108 @@
+"""Motion effects: the stage, the focus, the molecules (SPEC.md §9)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from napari_mufasa.effects.base import Effect, parameter
+from napari_mufasa.effects.illumination import course
+from napari_mufasa.scene import Scene
+
+STAGE = "sample motion"
+
+
+class StageDrift(Effect):
+    kind = "stage_drift"
+    stage = STAGE
+    strength = "distance_px"
+    title = "Stage drift"
+    what_it_is = "The sample moves sideways against the objective."
+    what_it_does = "All spots move together."
+    how_to_check = "Follow fiducial beads; wait for the temperature to settle."
+    observables = ("common_shift", "spot_elongation", "ensemble", "first_seen")
+    rivals = ("molecule_diffusion", "delayed_activation")
+    separated_by = "common against individual displacement; fiducials"
+
+    distance_px: float = parameter(
+        1.5, ge=0, plausible=(0.15, 5), unit="px", log=True, description="distance moved over the movie"
+    )
+    direction_deg: float = parameter(
+        45.0, plausible=(0, 360), unit="deg", description="direction; 0 along x, 90 along y"
+    )
+    form: Literal["linear", "saturating", "wandering"] = "linear"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        angle = np.deg2rad(self.direction_deg)
+        if self.form == "wandering":
+            steps = rng.standard_normal((scene.n_frames, 2))
+            path = np.cumsum(steps, axis=0) - steps[0]
+            path *= 1 / max(float(np.hypot(*path.T).max()), 1e-12)
+        else:
+            path = course(self.form, scene.progress, rng)[:, None] * np.array([np.sin(angle), np.cos(angle)])
+        scene.shift_px = scene.shift_px + self.distance_px * path
+
+
+class FocusDrift(Effect):
+    kind = "focus_drift"
+    stage = STAGE
+    strength = "widening"
+    title = "Focus drift"
+    what_it_is = "The sample leaves the focal plane slowly."
+    what_it_does = "Spots widen and their peaks fall while their total light stays."
+    how_to_check = "Refocus in the middle of the movie; use a focus lock."
+    observables = ("spot_width", "level_trend")
+    rivals = ("laser_drift",)
+    separated_by = "spot width against time at constant flux"
+
+    widening: float = parameter(
+        0.3,
+        ge=0,
+        le=5,
+        plausible=(0.05, 0.8),
+        unit="",
+        log=True,
+        description="relative growth of the PSF width",
+    )
+    form: Literal["linear", "accelerating", "step"] = "linear"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        growth = 1 + self.widening * course(self.form, scene.progress, rng)
+        scene.sigma_px = scene.sigma_px * growth[:, None]
+
+
+class MoleculeDiffusion(Effect):
+    kind = "molecule_diffusion"
+    stage = STAGE
+    strength = "diffusion_px2_per_frame"
+    title = "Diffusing molecules"
+    what_it_is = "Molecules move on their own: free, confined, or only some of them."
+    what_it_does = "Each spot wanders in its own direction and leaves its place."
+    how_to_check = "Track single spots; fix the sample as control."
+    observables = ("individual_shift", "spot_width", "ensemble", "first_seen")
+    rivals = ("stage_drift", "delayed_activation", "triplet_blinking")
+    separated_by = "the mean square displacement that molecules do not share"
+
+    diffusion_px2_per_frame: float = parameter(
+        0.003, ge=0, plausible=(0.0003, 0.05), unit="px²/frame", log=True, description="D; MSD = 4 D t"
+    )
+    form: Literal["free", "confined", "half_mobile"] = "free"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        n = len(scene.positions_px)
+        step = np.sqrt(2 * self.diffusion_px2_per_frame)
+        steps = rng.standard_normal((scene.n_frames, n, 2), dtype=np.float32) * np.float32(step)
+        steps[0] = 0
+        if self.form == "half_mobile":
+            steps *= (rng.random(n) < 0.5)[None, :, None]
+        if self.form == "confined":  # pulled back to its place within about thirty frames
+            walk = np.zeros_like(steps)
+            for f in range(1, scene.n_frames):
+                walk[f] = walk[f - 1] * np.float32(1 - 1 / 30) + steps[f]
+        else:
+            walk = np.cumsum(steps, axis=0, dtype=np.float32)
+        scene.walk_px = walk if scene.walk_px is None else scene.walk_px + walk
+
+
+EFFECTS = (StageDrift, FocusDrift, MoleculeDiffusion)

@@ -1,0 +1,97 @@
+"""Optics and background effects (SPEC.md §9)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from napari_mufasa.effects.base import Effect, parameter
+from napari_mufasa.scene import Array, Scene
+
+STAGE = "optics and background"
+
+
+class Astigmatism(Effect):
+    kind = "astigmatism"
+    stage = STAGE
+    strength = "log_ratio"
+    title = "Astigmatism"
+    what_it_is = "A cylindrical aberration makes the PSF wider along one axis."
+    what_it_does = "All spots are elongated alike, from the first frame on."
+    how_to_check = "Take a z-series of beads: the long axis flips through focus."
+    observables = ("spot_elongation",)
+    rivals = ("stage_drift",)
+    separated_by = "the shape of early spots; a z-series"
+
+    log_ratio: float = parameter(
+        0.25, ge=-2, le=2, plausible=(-0.5, 0.5), unit="", description="ln(σ_y / σ_x); the product stays"
+    )
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        scene.sigma_px = scene.sigma_px * np.exp(np.array([0.5, -0.5]) * self.log_ratio)
+
+
+class BackgroundGradient(Effect):
+    kind = "background_gradient"
+    stage = STAGE
+    strength = "relative_height"
+    title = "Background gradient or haze"
+    what_it_is = "Out-of-focus light that is not the same across the field."
+    what_it_does = "The background has a slope or a hump; spots are as bright everywhere."
+    how_to_check = "Image an empty field; compare spot brightness across the field."
+    observables = ("background_map",)
+    rivals = ("illumination_profile",)
+    separated_by = "spot brightness against position; a flat dye slide"
+
+    relative_height: float = parameter(
+        0.4, ge=0, le=10, plausible=(0.03, 1.2), unit="", log=True, description="rise across the field / mean"
+    )
+    form: Literal["linear", "hump"] = "linear"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        angle = rng.uniform(0, 2 * np.pi)
+        centre = rng.uniform(-0.6, 0.6, 2)
+
+        def shape(y: Array, x: Array) -> Array:
+            v, u = scene.centred(y, x)
+            if self.form == "linear":
+                return self.relative_height * (u * np.cos(angle) + v * np.sin(angle)) / 2
+            return self.relative_height * np.exp(-((v - centre[0]) ** 2 + (u - centre[1]) ** 2) / (2 * 0.45**2))
+
+        # The background believed is that of the field's mean.
+        mean = float(np.mean(np.maximum(1 + shape(*scene.pixel_coordinates()), 0.0)))
+        scene.background_field.append(lambda y, x: np.maximum(1 + shape(y, x), 0.0) / mean)
+
+
+class BackgroundDecay(Effect):
+    kind = "background_decay"
+    stage = STAGE
+    strength = "fraction"
+    title = "Bleaching background"
+    what_it_is = "Fluorescence of the medium or the glass bleaches."
+    what_it_does = "The background falls; spots keep their level."
+    how_to_check = "Pre-bleach the field; a photodiode shows constant light."
+    observables = ("background_time",)
+    rivals = ("laser_drift", "baseline_drift")
+    separated_by = "does the spot level fall too; does the background's variance fall with its mean"
+
+    fraction: float = parameter(
+        0.3,
+        ge=0,
+        le=1,
+        plausible=(0.03, 0.7),
+        unit="",
+        log=True,
+        description="share of the background that decays",
+    )
+    time_constant_movies: float = parameter(
+        0.4, gt=0, plausible=(0.1, 1.5), unit="movies", log=True, description="decay time / movie length"
+    )
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        left = np.exp(-scene.progress / self.time_constant_movies)
+        scene.background = scene.background * (1 - self.fraction + self.fraction * left)
+
+
+EFFECTS = (Astigmatism, BackgroundGradient, BackgroundDecay)

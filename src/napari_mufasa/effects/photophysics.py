@@ -1,0 +1,297 @@
+"""Photophysics effects: further states, missing transitions, unequal molecules (SPEC.md §9)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from napari_mufasa.effects.base import Effect, parameter
+from napari_mufasa.photophysics.chain import Chain, Transition
+from napari_mufasa.scene import Scene
+
+STAGE = "photophysics"
+
+
+def bright_exits(chain: Chain, target: str, rate_per_s: float) -> tuple[Transition, ...]:
+    """Transitions from the excited state(s) that leave brightness for `target` at `rate_per_s` in full light.
+
+    The rate out of the excited state is larger by the inverse of the time spent there; without any light
+    there are none.
+    """
+    exits = []
+    for ground, excited in chain.emitting_pairs():
+        up = sum(t.rate_per_s for t in chain.transitions if (t.source, t.target) == (ground, excited))
+        down = sum(t.rate_per_s for t in chain.transitions if t.source == excited)
+        if up > 0:
+            exits.append(Transition(excited, target, rate_per_s * (up + down) / up))
+    return tuple(exits)
+
+
+def with_dark_states(
+    chain: Chain, prefix: str, off_rate_per_s: float, dark_times_s: list[float], weights: list[float]
+) -> Chain:
+    """Dark states reached from the excited state; several of them make any mixture of dwell times."""
+    ground = chain.emitting_pairs()[0][0]
+    for i, (dwell, weight) in enumerate(zip(dark_times_s, weights, strict=True)):
+        name = f"{prefix}{i + 1}"
+        chain = replace(chain, states=(*chain.states, name))
+        back = Transition(name, ground, 1.0 / dwell)
+        chain = chain.with_transitions(back, *bright_exits(chain, name, off_rate_per_s * weight))
+    return chain
+
+
+def dwell_mixture(form: str, mean_s: float) -> tuple[list[float], list[float]]:
+    """Mean dwell times and weights of a dark-time law with the given mean.
+
+    exponential: one state. two_exponential: a short and a ten times longer one. power_law: six states whose
+    mixture falls as t^-1.5 over two decades.
+    """
+    if form == "exponential":
+        return [mean_s], [1.0]
+    if form == "two_exponential":
+        relative, weights = np.array([0.4, 4.0]), np.array([5.0, 1.0])
+    else:
+        relative = np.logspace(-1, 1, 6)
+        weights = relative**-0.5
+    weights = weights / weights.sum()
+    dwell = relative * mean_s / np.sum(relative * weights)
+    return [float(d) for d in dwell], [float(w) for w in weights]
+
+
+class _DarkState(Effect):
+    stage = STAGE
+    strength = "off_rate_per_s"
+    _prefix = "D"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        values: Any = self
+        if values.off_rate_per_s == 0:
+            return
+        dwell, weights = dwell_mixture(values.form, values.dark_time_s)
+        chain = with_dark_states(scene.chain, self._prefix, values.off_rate_per_s, dwell, weights)
+        if values.start == "equilibrium":
+            dark = values.off_rate_per_s * values.dark_time_s
+            share = dark / (1 + dark)
+            start = {state: p * (1 - share) for state, p in chain.start.items()}
+            # In the steady state a dark state is occupied in proportion to how often × how long it is entered.
+            occupied = np.array(dwell) * np.array(weights)
+            for i, o in enumerate(occupied / occupied.sum()):
+                start[f"{self._prefix}{i + 1}"] = share * float(o)
+            chain = chain.starting(start)
+        scene.chain = chain
+
+
+class TripletBlinking(_DarkState):
+    kind = "triplet_blinking"
+    title = "Fast dark-state blinking"
+    what_it_is = "From the excited state the molecule sometimes falls into a dark triplet or radical state."
+    what_it_does = "Traces show short gaps of a few frames or less and return to the same level."
+    how_to_check = (
+        "Change the laser power or remove oxygen: gaps get more frequent or longer; neighbours blink independently."
+    )
+    observables = ("autocorrelation", "gap", "count")
+    rivals = ("long_dark_state", "em_excess_noise", "molecule_diffusion")
+    separated_by = "the trace autocorrelation at short lags, at another frame length"
+    _prefix = "T"
+
+    off_rate_per_s: float = parameter(
+        5.0, ge=0, plausible=(0.5, 50), unit="1/s", log=True, description="rate into the dark at full light"
+    )
+    dark_time_s: float = parameter(
+        0.04, gt=0, plausible=(0.01, 0.12), unit="s", log=True, description="mean time in the dark"
+    )
+    form: Literal["exponential", "two_exponential"] = "exponential"
+    start: Literal["bright", "equilibrium"] = "equilibrium"
+
+
+class LongDarkState(_DarkState):
+    kind = "long_dark_state"
+    title = "Long dark state"
+    what_it_is = "A radical, cation or cis form that holds the molecule dark for many frames."
+    what_it_does = "Traces show long gaps with full return to the same level; some molecules appear lost and come back."
+    how_to_check = "Record longer; a pulse of 405 nm light or a reducer brings the molecules back."
+    observables = ("gap", "autocorrelation", "first_seen", "survival")
+    rivals = ("triplet_blinking", "delayed_activation", "photobleaching")
+    separated_by = "a longer movie: long gaps end, bleaching does not"
+    _prefix = "R"
+
+    off_rate_per_s: float = parameter(
+        0.5, ge=0, plausible=(0.05, 5), unit="1/s", log=True, description="rate into the dark at full light"
+    )
+    dark_time_s: float = parameter(
+        0.8, gt=0, plausible=(0.2, 5), unit="s", log=True, description="mean time in the dark"
+    )
+    form: Literal["exponential", "power_law"] = "exponential"
+    start: Literal["bright", "equilibrium"] = "bright"
+
+
+class Photobleaching(Effect):
+    kind = "photobleaching"
+    stage = STAGE
+    strength = "rate_per_s"
+    title = "Photobleaching"
+    what_it_is = "The excited molecule is destroyed after some number of cycles."
+    what_it_does = "Spots vanish for good, each in one step; survivors keep their level."
+    how_to_check = "Halve the laser power: the molecules live twice as long and give as many photons."
+    observables = ("survival", "ensemble", "count")
+    rivals = ("laser_drift", "focus_drift", "long_dark_state")
+    separated_by = "the level of the survivors, and whether lost molecules ever return"
+
+    rate_per_s: float = parameter(
+        0.2, ge=0, plausible=(0.02, 2), unit="1/s", log=True, description="bleaching rate at full light"
+    )
+    fast_fraction: float = parameter(
+        0.5,
+        ge=0,
+        le=1,
+        plausible=(0.2, 0.6),
+        unit="",
+        description="share of fast bleachers (two_populations)",
+    )
+    rate_ratio: float = parameter(
+        5.0, ge=1, plausible=(3, 20), unit="", log=True, description="fast over slow rate (two_populations)"
+    )
+    form: Literal["exponential", "two_populations"] = "exponential"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        if self.rate_per_s == 0:
+            return
+        if self.form == "exponential":
+            populations = [(1.0, self.rate_per_s)]
+        else:  # the mean rate stays rate_per_s
+            slow = self.rate_per_s / (1 + self.fast_fraction * (self.rate_ratio - 1))
+            populations = [(self.fast_fraction, slow * self.rate_ratio), (1 - self.fast_fraction, slow)]
+        scene.chain = _bleaching(scene.chain, populations)
+
+
+def _bleaching(chain: Chain, populations: list[tuple[float, float]]) -> Chain:
+    """Add bleaching. Two populations are two bright copies of the chain that never mix."""
+    bleached = "B" if "B" in chain.states else "bleached"
+    if bleached not in chain.states:
+        chain = replace(chain, states=(*chain.states, bleached))
+    kinds = [chain.with_transitions(*bright_exits(chain, bleached, rate)) for _, rate in populations]
+    return kinds[0] if len(kinds) == 1 else _two_kinds(kinds[0], kinds[1], bleached, populations[0][0])
+
+
+def _two_kinds(one: Chain, two: Chain, shared: str, share: float) -> Chain:
+    """One chain for two kinds of molecules: states of the second are primed, `shared` is common."""
+
+    def primed(state: str) -> str:
+        return state if state == shared else state + "'"
+
+    states = (*one.states, *(primed(s) for s in two.states if s != shared))
+    transitions = one.transitions + tuple(
+        Transition(primed(t.source), primed(t.target), t.rate_per_s, t.driven, t.photon_probability)
+        for t in two.transitions
+    )
+    start = {s: p * share for s, p in one.start.items()}
+    start |= {primed(s): p * (1 - share) for s, p in two.start.items()}
+    return Chain(states, transitions, start)
+
+
+class DelayedActivation(Effect):
+    kind = "delayed_activation"
+    stage = STAGE
+    strength = "fraction"
+    title = "Delayed activation"
+    what_it_is = "Some molecules start in a dark form and turn bright later (photoactivation, binding, thawing)."
+    what_it_does = "Spots appear during the movie; the number of bright molecules rises."
+    how_to_check = "Record before and after a 405 nm pulse; the late spots come at once."
+    observables = ("first_seen", "ensemble", "survival")
+    rivals = ("molecule_diffusion", "stage_drift", "long_dark_state")
+    separated_by = "the first appearance in an aperture that follows the spot"
+
+    fraction: float = parameter(
+        0.4, ge=0, le=1, plausible=(0.05, 0.9), unit="", description="share of molecules that start dark"
+    )
+    activation_rate_per_s: float = parameter(
+        0.4, gt=0, plausible=(0.05, 3), unit="1/s", log=True, description="rate at which they turn bright"
+    )
+    form: Literal["exponential", "two_step"] = "exponential"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        if self.fraction == 0:
+            return
+        chain = scene.chain
+        start = {state: p * (1 - self.fraction) for state, p in chain.start.items()}
+        bright = max(chain.start, key=lambda s: chain.start[s])
+        if self.form == "exponential":
+            steps = [Transition("inactive", bright, self.activation_rate_per_s)]
+        else:  # two steps of twice the rate: the same mean, few at the very start
+            rate = 2 * self.activation_rate_per_s
+            steps = [Transition("inactive", "halfway", rate), Transition("halfway", bright, rate)]
+        chain = replace(chain, states=(*chain.states, *(t.source for t in steps)))
+        scene.chain = chain.with_transitions(*steps).starting(start | {"inactive": self.fraction})
+
+
+class BrightnessHeterogeneity(Effect):
+    kind = "brightness_heterogeneity"
+    stage = STAGE
+    strength = "spread"
+    title = "Unequal brightness"
+    what_it_is = "Molecules differ in orientation and surroundings, so they absorb and shine unequally."
+    what_it_does = "Levels differ from spot to spot; each spot keeps its own, and bleaches in one step."
+    how_to_check = "Rotate the polarisation: fixed molecules change their level; count the bleaching steps: one each."
+    observables = ("level_spread", "level_quantile")
+    rivals = ("multiple_emitters", "illumination_profile")
+    separated_by = "the number and height of bleaching steps; the level against position"
+
+    spread: float = parameter(
+        0.3, ge=0, le=3, plausible=(0.05, 0.7), unit="", description="relative spread of brightness (sd/mean)"
+    )
+    form: Literal["lognormal", "gamma", "two_levels"] = "lognormal"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        n = len(scene.brightness)
+        if self.spread == 0:
+            return
+        if self.form == "lognormal":
+            s = np.sqrt(np.log1p(self.spread**2))
+            factor = rng.lognormal(-(s**2) / 2, s, n)
+        elif self.form == "gamma":
+            factor = rng.gamma(1 / self.spread**2, self.spread**2, n)
+        else:  # a dim and a bright half
+            factor = 1 + min(self.spread, 1.0) * rng.choice([-1.0, 1.0], n)
+        scene.brightness = scene.brightness * factor
+
+
+class MultipleEmitters(Effect):
+    kind = "multiple_emitters"
+    stage = STAGE
+    strength = "fraction"
+    title = "Several emitters in a spot"
+    what_it_is = "Some spots hold two or more fluorophores (oligomers, aggregates, double labelling)."
+    what_it_does = "Levels are multiples of one molecule's and fall in several equal steps."
+    how_to_check = "Count bleaching steps; dilute the label."
+    observables = ("steps", "last_level", "level_spread", "level_quantile")
+    rivals = ("brightness_heterogeneity",)
+    separated_by = "the number and height of bleaching steps; more molecules"
+
+    fraction: float = parameter(
+        0.4, ge=0, le=1, plausible=(0.05, 0.9), unit="", description="share of spots with several emitters"
+    )
+    form: Literal["dimers", "oligomers"] = "dimers"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        n = len(scene.positions_px)
+        several = rng.random(n) < self.fraction
+        extra = several.astype(int)
+        if self.form == "oligomers":
+            extra = several * rng.integers(1, 4, n)
+        copies = 1 + extra
+        scene.positions_px = np.repeat(scene.positions_px, copies, axis=0)
+        scene.brightness = np.repeat(scene.brightness, copies)
+        if scene.walk_px is not None:
+            scene.walk_px = np.repeat(scene.walk_px, copies, axis=1)
+
+
+EFFECTS = (
+    TripletBlinking,
+    LongDarkState,
+    Photobleaching,
+    DelayedActivation,
+    BrightnessHeterogeneity,
+    MultipleEmitters,
+)

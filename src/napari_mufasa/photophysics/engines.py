@@ -1,0 +1,182 @@
+"""Two engines, one answer: photons per frame of many copies of one chain (SPEC.md §2).
+
+Both run the same jump kernel. *exact* runs the full chain and counts photons at their jumps. *fast* first
+merges {S0, S1} into one bright state, whose photons are then Poisson given its time in the light; dwell
+times of all slow states stay event by event. The error of the merge is O(k01/k10).
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.photophysics.chain import Chain, Transition
+
+Engine = Literal["fast", "exact"]
+SEPARATION = 1e-2  # largest k01/k10 at which the bright state may be merged
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """The light in time: exposure and dead time of a frame in s, relative light per frame."""
+
+    exposure_s: float
+    dead_time_s: float
+    light: NDArray[np.float64]
+
+
+def simulate_photons(
+    chain: Chain, drive: NDArray[np.float64], exposure: Exposure, rng: np.random.Generator, engine: Engine
+) -> NDArray[np.int64]:
+    """Photons emitted by each molecule in each frame.
+
+    Parameters
+    ----------
+    chain : the molecule's states and rates at relative light 1
+    drive : (molecule,) relative light at each molecule
+    exposure : frame timing and relative light per frame
+    rng : the stream to draw from
+    engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, where k01/k10 > 10⁻² or the
+        chain has no single emitting transition
+
+    Returns
+    -------
+    (molecule, frame) int64. A photon belongs to the frame its relaxation falls in.
+    """
+    if engine not in ("fast", "exact"):
+        raise MufasaError(f"engine {engine!r} is unknown: choose 'fast' or 'exact'")
+    if engine == "fast":
+        brightest = float(np.max(drive, initial=0.0) * np.max(exposure.light, initial=0.0))
+        merged = merge_bright_states(chain, brightest)
+        if isinstance(merged, str):
+            warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
+        else:
+            bright_chain, photon_rates = merged
+            expected, _ = _run(bright_chain, photon_rates, drive, exposure, rng)
+            return rng.poisson(expected).astype(np.int64)
+    _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, rng)
+    return photons
+
+
+def merge_bright_states(chain: Chain, brightest_light: float) -> tuple[Chain, NDArray[np.float64]] | str:
+    """The chain with every {S0, S1} pair merged and each state's photon rate at full light; or why not.
+
+    A merged state leaves with rate k01·p, p = k1x/Σk1, and emits with rate k01·k10/(k01+Σk1) (SPEC.md §2).
+    """
+    pairs = chain.emitting_pairs()
+    if not pairs:
+        return "the chain has no emitting transition"
+    merged = chain
+    photon_rate: dict[str, float] = {}
+    for pair in pairs:
+        ground, excited = pair
+        up = sum(t.rate_per_s for t in chain.transitions if (t.source, t.target) == pair)
+        out = [t for t in chain.transitions if t.source == excited]
+        leave = sum(t.rate_per_s for t in out)
+        if up * brightest_light > SEPARATION * leave:
+            return f"k01/k10 = {up * brightest_light / leave:.2g} exceeds {SEPARATION}"
+        into = [t for t in chain.transitions if t.target == excited]
+        if any(t.driven for t in out) or any(t.source != ground or not t.driven for t in into):
+            return "an emitting state is entered or left otherwise than by excitation and spontaneous decay"
+        cycle = up * leave / (up + leave)  # cycles per second of full light
+        photon_rate[ground] = sum(cycle * t.rate_per_s / leave * t.photon_probability for t in out)
+        kept = [t for t in merged.transitions if excited not in (t.source, t.target)]
+        kept += [
+            Transition(ground, t.target, cycle * t.rate_per_s / leave, driven=True) for t in out if t.target != ground
+        ]
+        start = {s: p for s, p in merged.start.items() if s != excited}
+        start[ground] = start.get(ground, 0.0) + merged.start.get(excited, 0.0)
+        states = tuple(s for s in merged.states if s != excited)
+        merged = replace(merged, states=states, transitions=tuple(kept), start=start)
+    return merged, np.array([photon_rate.get(state, 0.0) for state in merged.states])
+
+
+def _run(
+    chain: Chain,
+    photon_rates: NDArray[np.float64],
+    drive: NDArray[np.float64],
+    exposure: Exposure,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Expected photons from the time spent in emitting states, and photons counted at jumps."""
+    start = rng.choice(len(chain.states), size=len(drive), p=chain.start_vector()).astype(np.int64)
+    expected: NDArray[np.float64]
+    photons: NDArray[np.int64]
+    expected, photons = _kernel()(
+        chain.matrix(driven=True),
+        chain.matrix(driven=False),
+        chain.photon_matrix(),
+        photon_rates,
+        start,
+        np.ascontiguousarray(drive, dtype=np.float64),
+        np.ascontiguousarray(exposure.light, dtype=np.float64),
+        float(exposure.exposure_s),
+        float(exposure.dead_time_s),
+        rng,
+    )
+    return expected, photons
+
+
+@cache
+def _kernel() -> Any:
+    """The jump kernel, compiled on first use."""
+    import numba
+
+    @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+    def kernel(driven, undriven, photon_probability, photon_rate, start, drive, light, exposure_s, dead_s, rng):  # type: ignore[no-untyped-def]
+        n_states = driven.shape[0]
+        n_molecules, n_frames = drive.size, light.size
+        expected = np.zeros((n_molecules, n_frames))
+        photons = np.zeros((n_molecules, n_frames), dtype=np.int64)
+        for m in range(n_molecules):
+            state = start[m]
+            absorbed = False
+            for f in range(n_frames):
+                if absorbed:
+                    break
+                relative = drive[m] * light[f]
+                # Rates are constant within a segment and exponential waits have no memory, so a wait
+                # that crosses the segment's end is simply drawn anew from there.
+                for segment in range(2):
+                    left = exposure_s if segment == 0 else dead_s
+                    while left > 0.0:
+                        total = 0.0
+                        for s in range(n_states):
+                            total += relative * driven[state, s] + undriven[state, s]
+                        wait = rng.standard_exponential() / total if total > 0.0 else np.inf
+                        stay = min(wait, left)
+                        if segment == 0:
+                            expected[m, f] += photon_rate[state] * relative * stay
+                        left -= stay
+                        if wait > stay or total == 0.0:
+                            break
+                        pick = rng.random() * total
+                        target = state
+                        for s in range(n_states):
+                            rate = relative * driven[state, s] + undriven[state, s]
+                            if rate > 0.0:
+                                target = s
+                                pick -= rate
+                                if pick < 0.0:
+                                    break
+                        chance = photon_probability[state, target]
+                        if segment == 0 and chance > 0.0 and (chance >= 1.0 or rng.random() < chance):
+                            photons[m, f] += 1
+                        state = target
+                        leaving = 0.0
+                        for s in range(n_states):
+                            leaving += driven[state, s] + undriven[state, s]
+                        absorbed = leaving == 0.0 and photon_rate[state] == 0.0
+                        if absorbed:
+                            break
+                    if absorbed:
+                        break
+        return expected, photons
+
+    return kernel

@@ -1,0 +1,27 @@
+"""Rates of one fluorophore, per second (SPEC.md §2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import constants
+
+
+def excitation_rate(extinction_per_M_cm: float, power_w_per_cm2: float, wavelength_nm: float) -> float:
+    """k01 = ε P λ 10⁻⁶ ln10 / (N_A h c): absorption cross-section times photon flux."""
+    molar_photon_energy = constants.N_A * constants.h * constants.c
+    return float(extinction_per_M_cm * power_w_per_cm2 * wavelength_nm * 1e-6 * np.log(10) / molar_photon_energy)
+
+
+def relaxation_rate(lifetime_s: float) -> float:
+    """k10 = 1/τ."""
+    return 1.0 / lifetime_s
+
+
+def intersystem_crossing_rate(isc_ratio: float, lifetime_s: float) -> float:
+    """k1T = α_isc · k10."""
+    return isc_ratio / lifetime_s
+
+
+def bleaching_rate(cycles: float, lifetime_s: float) -> float:
+    """k1B = 1/(N_c τ): one bleaching in N_c cycles on average."""
+    return 1.0 / (cycles * lifetime_s)
