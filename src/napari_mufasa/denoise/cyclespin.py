@@ -1,0 +1,113 @@
+"""PURE-LET on the decimated Haar transform, averaged over shifts (cycle spinning)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import haar, let
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+
+#: Shifts averaged, spread over the 4 x 4 positions of a block of level 2.
+SHIFTS = [(0, 0), (2, 2), (0, 2), (2, 0), (1, 1), (3, 3), (1, 3), (3, 1)]
+
+
+def cycle_spin(plane: Array, noise: let.Noise, levels: int) -> tuple[NDArray[np.float32], float]:
+    """Mean over `SHIFTS` of the decimated estimator; the risk is the mean of theirs, an upper bound of the mean's.
+
+    Whole blocks are needed, so the image is continued by reflection; the continuation takes no part in the risk.
+    """
+    from .purelet import same_mean
+
+    flat = plane.shape[0] == 1
+    depth = haar.levels_for(plane.shape[1:] if flat else plane.shape, levels)
+    mean_noise = noise.alpha * float(plane.mean(dtype=np.float64)) + float(np.mean(noise.variance))
+    if depth == 0 or mean_noise <= 0:
+        return plane, max(mean_noise, 0.0)
+    total = np.zeros(plane.shape, np.float64)
+    risks = []
+    for dy, dx in SHIFTS:
+        if flat and dy:
+            continue
+        block = 2**depth
+        pad = [(0, 0) if flat else _margins(plane.shape[0], dy, block), _margins(plane.shape[1], dx, block)]
+        wide = np.pad(plane, pad, mode="symmetric")
+        variance = np.pad(np.broadcast_to(noise.variance, plane.shape), pad, mode="symmetric")
+        estimate, saved = _decimated(wide, let.Noise(noise.alpha, variance, noise.multiplied), depth, flat)
+        inside = tuple(slice(before, before + n) for (before, _), n in zip(pad, plane.shape, strict=True))
+        total += estimate[inside]
+        risks.append(mean_noise - saved)
+    risk = float(np.mean(risks))
+    if not risk < mean_noise:
+        return plane, mean_noise
+    return same_mean(total / len(risks), plane), risk
+
+
+def _margins(n: int, shift: int, block: int) -> tuple[int, int]:
+    return shift, (-(n + shift)) % block
+
+
+def _decimated(wide: Array, noise: let.Noise, depth: int, flat: bool) -> tuple[Array, float]:
+    """One shift: every band has its own least-squares weights; also the estimated risk saved per pixel."""
+    signs_all = haar.SIGNS_1D if flat else haar.SIGNS_2D
+    low = haar.LOW_1D if flat else haar.LOW_2D
+    a, v = wide, np.ascontiguousarray(noise.variance)
+    kept = []
+    saved = 0.0
+    for level in range(depth):
+        children = [_child(a, k, flat) for k in range(2 if flat else 4)]
+        spreads = [_child(v, k, flat) for k in range(2 if flat else 4)]
+        s = sum(children[1:], children[0])
+        block_variance = sum(spreads[1:], spreads[0])
+        s_beside = haar.beside(s, 1, flat, False)
+        share = np.float32((0.5 if flat else 0.25) ** (level + 1))
+        bands = []
+        for signs in signs_all:
+            used = [(sign, c, q) for sign, c, q in zip(signs, children, spreads, strict=False)]
+            w = sum((sign * c for sign, c, _ in used[1:]), used[0][0] * used[0][1])
+            zero = np.zeros_like(w)
+            plus = sum((c for sign, c, _ in used if sign > 0), zero)
+            minus = sum((c for sign, c, _ in used if sign < 0), zero)
+            v_plus = sum((q for sign, _, q in used if sign > 0), zero)
+            v_minus = sum((q for sign, _, q in used if sign < 0), zero)
+            energy = haar.beside(w, 1, flat, True)
+            arguments = (w, s, s_beside, energy, block_variance, np.zeros((0, *w.shape), w.dtype),
+                         np.zeros(0, np.float32), noise.alpha)  # fmt: skip
+            planes = let.candidates(*arguments).reshape(let.SPATIAL, -1)
+            cross = let.cross_terms(*arguments, noise.stencil(), plus, minus, v_plus, v_minus)
+            system = let.System((planes @ planes.T).astype(np.float64), cross, 0.0, 0.0, w.size)
+            weights = system.solve(1e-4)
+            # The unthresholded coefficient (first weight 1) is the data themselves.
+            same = np.zeros(let.SPATIAL)
+            same[0] = 1.0
+            gain = system.risk(same) - system.risk(weights)
+            if gain <= 0:
+                weights, gain = same, 0.0
+            saved += gain * w.size * float(share) / wide.size
+            bands.append((weights.astype(np.float32) @ planes).reshape(w.shape))
+        kept.append(bands)
+        a, v = s, block_variance
+    return _rebuild(a, kept, signs_all, low, flat), saved
+
+
+def _rebuild(a: Array, kept: list[list[Array]], signs_all: Array, low: Array, flat: bool) -> Array:
+    for bands in reversed(kept):
+        rows, cols = a.shape
+        below = np.empty((rows if flat else 2 * rows, 2 * cols), a.dtype)
+        for k in range(2 if flat else 4):
+            value = low[k] * a
+            for band, signs in zip(bands, signs_all, strict=True):
+                value = value + signs[k] * band
+            _child(below, k, flat)[...] = value * np.float32(0.5 if flat else 0.25)
+        a = below
+    return a
+
+
+def _child(a: Array, k: int, flat: bool) -> Array:
+    """View of the k-th child (top left, top right, bottom left, bottom right) of every block."""
+    return a[:, k::2] if flat else a[k // 2 :: 2, k % 2 :: 2]

@@ -1,0 +1,160 @@
+"""Undecimated, unnormalised Haar transform that never looks past the border.
+
+A coefficient of level j is a signed sum over a block of 2^j pixels along each transformed axis, so sums of Poisson
+counts stay Poisson counts. Only blocks that lie wholly inside the image are used, and the synthesis averages over the
+blocks that exist: reconstruction is exact for every shape, and no pixel is ever invented outside the image.
+
+Level arrays shrink: along an axis of length n, level j has n - 2^j + 1 blocks, one for each start pixel.
+``flat=True`` transforms rows only (axis 1): every row is then a trace of its own.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import njit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+
+#: Signs of the children (top left, top right, bottom left, bottom right) in each detail band.
+SIGNS_2D = np.array([[1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]], dtype=np.float32)
+#: The same for rows only; the two lower children do not exist.
+SIGNS_1D = np.array([[1, -1, 0, 0]], dtype=np.float32)
+LOW_2D = np.ones(4, dtype=np.float32)
+LOW_1D = np.array([1, 1, 0, 0], dtype=np.float32)
+
+
+def levels_for(shape: tuple[int, ...], wanted: int) -> int:
+    """Deepest level, at most ``wanted``, at which every block of ``shape`` has a neighbour it shares no pixel with."""
+    level = 0
+    while level < wanted and min(shape) >= 6 * 2**level - 1:
+        level += 1
+    return level
+
+
+@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+def analyse(a: Array, h: int, flat: bool) -> tuple[Array, Array]:
+    """One level (half block ``h``): scaling coefficients (rows, cols) and detail bands (1 or 3, rows, cols)."""
+    cols = a.shape[1] - h
+    rows = a.shape[0] if flat else a.shape[0] - h
+    s = np.empty((rows, cols), a.dtype)
+    d = np.empty((1 if flat else 3, rows, cols), a.dtype)
+    if flat:
+        for r in range(rows):
+            for c in range(cols):
+                s[r, c] = a[r, c] + a[r, c + h]
+                d[0, r, c] = a[r, c] - a[r, c + h]
+        return s, d
+    for r in range(rows):
+        for c in range(cols):
+            top_left, top_right = a[r, c], a[r, c + h]
+            low_left, low_right = a[r + h, c], a[r + h, c + h]
+            left, right = top_left + low_left, top_right + low_right
+            s[r, c] = left + right
+            d[0, r, c] = left - right
+            d[1, r, c] = (top_left + top_right) - (low_left + low_right)
+            d[2, r, c] = (top_left - top_right) - (low_left - low_right)
+    return s, d
+
+
+@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+def children_sum(a: Array, h: int, signs: Array, flat: bool) -> Array:
+    """Sum over the children of every block that carry a positive sign in ``signs``."""
+    cols = a.shape[1] - h
+    rows = a.shape[0] if flat else a.shape[0] - h
+    out = np.zeros((rows, cols), a.dtype)
+    for r in range(rows):
+        if signs[0] > 0:
+            for c in range(cols):
+                out[r, c] += a[r, c]
+        if signs[1] > 0:
+            for c in range(cols):
+                out[r, c] += a[r, c + h]
+        if signs[2] > 0:
+            for c in range(cols):
+                out[r, c] += a[r + h, c]
+        if signs[3] > 0:
+            for c in range(cols):
+                out[r, c] += a[r + h, c + h]
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+def covered(b: Array, h: int, flat: bool) -> Array:
+    """``b`` over the number of blocks that cover each place and of children per block: the synthesis's adjoint weight."""
+    rows, cols = b.shape
+    out = np.empty_like(b)
+    for r in range(rows):
+        row_count = 1.0 if flat else 2.0 * ((1.0 if r < rows - h else 0.0) + (1.0 if r >= h else 0.0))
+        single = 0.5 / row_count
+        double = 0.25 / row_count
+        for c in range(cols):
+            out[r, c] = b[r, c] * (double if h <= c < cols - h else single)
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+def spread(band: Array, h: int, signs: Array, flat: bool, out: Array) -> None:
+    """Add ``band`` with its children's signs to ``out`` (the level below), not yet divided by the coverage."""
+    rows, cols = band.shape
+    for r in range(rows):
+        for c in range(cols):
+            out[r, c] += signs[0] * band[r, c]
+        for c in range(cols):
+            out[r, c + h] += signs[1] * band[r, c]
+        if not flat:
+            for c in range(cols):
+                out[r + h, c] += signs[2] * band[r, c]
+            for c in range(cols):
+                out[r + h, c + h] += signs[3] * band[r, c]
+
+
+def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape: tuple[int, int]) -> Array:
+    """The level below (of ``shape``) from scaling coefficients and detail bands; ``None`` stands for zeros."""
+    like = low if low is not None else bands
+    assert like is not None
+    out = np.zeros(shape, like.dtype)
+    if low is not None:
+        spread(low, h, LOW_1D if flat else LOW_2D, flat, out)
+    if bands is not None:
+        for band, signs in zip(bands, SIGNS_1D if flat else SIGNS_2D, strict=True):
+            spread(band, h, signs, flat, out)
+    return covered(out, h, flat)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+def beside(a: Array, distance: int, flat: bool, square: bool) -> Array:
+    """Mean over the (two or eight) blocks ``distance`` away, of the values or of their squares; 0 where there are none.
+
+    With ``distance`` = the block length these neighbours share no pixel with the block itself, which is what lets
+    functions of them enter the risk estimate as constants.
+    """
+    rows, cols = a.shape
+    out = np.zeros((rows, cols), a.dtype)
+    number = np.zeros((rows, cols), a.dtype)
+    for step_r in range(-1, 2):
+        if flat and step_r != 0:
+            continue
+        for step_c in range(-1, 2):
+            if step_r == 0 and step_c == 0:
+                continue
+            dr, dc = step_r * distance, step_c * distance
+            first, last = max(0, -dc), min(cols, cols - dc)
+            for r in range(max(0, -dr), min(rows, rows - dr)):
+                if square:
+                    for c in range(first, last):
+                        out[r, c] += a[r + dr, c + dc] * a[r + dr, c + dc]
+                        number[r, c] += 1.0
+                else:
+                    for c in range(first, last):
+                        out[r, c] += a[r + dr, c + dc]
+                        number[r, c] += 1.0
+    for r in range(rows):
+        for c in range(cols):
+            if number[r, c] > 0:
+                out[r, c] /= number[r, c]
+    return out

@@ -1,0 +1,207 @@
+"""From recorded counts to photons: the camera's inverse and the denoiser between its steps (SPEC.md §5)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from napari_mufasa import camera as cam
+from napari_mufasa.errors import Cancelled, MufasaError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from napari_mufasa.model import Camera
+
+    Array = NDArray[Any]
+
+Method = Literal["pure-let", "pure-let-movie", "source", "none"]
+#: Frames read, denoised and written together.
+BLOCK = 16
+#: Frames whose pooled risk sets the weights of a movie.
+SAMPLES = 12
+NEIGHBOURS = 3
+
+
+def denoise(
+    movie: Any,
+    camera: Camera,
+    *,
+    method: Method = "pure-let-movie",
+    excess_noise: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+    out: Any = None,
+) -> NDArray[np.float32]:
+    """Estimate the light that reached the detector: photons per pixel and frame.
+
+    Parameters
+    ----------
+    movie : array (frame, y, x) or (y, x), ADU
+        numpy, dask or zarr; read in blocks of `BLOCK` frames, so the peak memory is about
+        40 x the bytes of one float32 frame plus the result (or nothing more, with ``out`` on disk).
+    camera : Camera
+        Gain, read noise, baseline, quantum efficiency and maps.
+    method : str
+        "pure-let-movie": mixed-noise PURE-LET with neighbouring frames as predictors; "pure-let": the same, frame by
+        frame; "source": the recipe of the source note, step by step; "none": only the camera's inverse.
+    excess_noise : bool
+        An EMCCD's multiplication doubles the variance; False treats its signal as plain Poisson, as the source does.
+    progress : callable (done, total), optional
+        Called after every block with frames done and in all.
+    cancel : callable, optional
+        Asked before every block; True stops with `Cancelled`.
+    out : array-like (frame, y, x), optional
+        Written to instead of a new array, for example a zarr array for a movie larger than memory.
+
+    Returns
+    -------
+    float32 (frame, y, x), or ``out``.
+
+    Raises
+    ------
+    MufasaError
+        Wrong number of dimensions, an empty movie, values that are not finite, maps of another shape.
+    Cancelled
+        ``cancel`` returned True.
+    """
+    if method not in get_args(Method):
+        raise MufasaError(f"method is {method!r}; choose one of {', '.join(get_args(Method))}")
+    shape = tuple(getattr(movie, "shape", np.shape(movie)))
+    if len(shape) == 2:
+        movie, shape = np.asarray(movie)[None], (1, *shape)
+    if len(shape) != 3:
+        raise MufasaError(f"movie has {len(shape)} dimensions {shape}; give (frame, y, x)")
+    if 0 in shape:
+        raise MufasaError(f"movie of shape {shape} is empty; give at least one frame and one pixel")
+    result = np.empty(shape, np.float32) if out is None else out
+    if tuple(result.shape) != shape:
+        raise MufasaError(f"out has shape {tuple(result.shape)}, the movie {shape}; give the same shape")
+    worker = _Frames(movie, camera, shape, method, excess_noise)
+    worker.learn(cancel)
+    for start in range(0, shape[0], BLOCK):
+        _stop_if(cancel)
+        stop = min(start + BLOCK, shape[0])
+        result[start:stop] = cam.photons(worker.block(start, stop), camera)
+        if progress is not None:
+            progress(stop, shape[0])
+    return result  # type: ignore[no-any-return]
+
+
+def _stop_if(cancel: Callable[[], bool] | None) -> None:
+    if cancel is not None and cancel():
+        raise Cancelled("denoising was cancelled")
+
+
+class _Frames:
+    """A movie read in blocks, its noise in photoelectrons, and the weights learnt from samples of it."""
+
+    def __init__(self, movie: Any, camera: Camera, shape: tuple[int, ...], method: Method, excess_noise: bool) -> None:
+        self.movie, self.camera, self.shape, self.method = movie, camera, shape, method
+        self.multiplied = camera.type == "EMCCD" and excess_noise
+        self.alpha = cam.multiplication_noise(camera) if self.multiplied else 1.0
+        self.weights: Array | None = None
+        from .temporal import rings_for
+
+        self.rings = rings_for(NEIGHBOURS if method == "pure-let-movie" and shape[0] > 1 else 0)
+
+    def read(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Recorded frames as photoelectrons."""
+        counts = np.asarray(self.movie[start:stop])
+        if not np.issubdtype(counts.dtype, np.number) or np.iscomplexobj(counts):
+            raise MufasaError(f"movie has type {counts.dtype}; give real numbers (ADU)")
+        if counts.dtype.kind == "f" and not np.all(np.isfinite(counts)):
+            raise MufasaError(
+                f"movie frames {start} to {stop - 1} hold values that are not finite; replace them before denoising"
+            )
+        return cam.photoelectrons(counts, self.camera)
+
+    def noise(self, electrons: Array) -> Any:
+        """Noise of frames (frame, y, x) of photoelectrons; the read noise is seen through the gain's slope."""
+        from .let import Noise
+
+        return Noise(self.alpha, read_variance(electrons, self.camera), self.multiplied)
+
+    def learn(self, cancel: Callable[[], bool] | None) -> None:
+        """Weights of least pooled risk over frames spread evenly through the movie."""
+        if self.method not in ("pure-let", "pure-let-movie"):
+            return
+        from .purelet import LEVELS, risk_system
+        from .temporal import guides_of
+
+        n = self.shape[0]
+        total = None
+        # Every pass takes another window of each large frame: as much variety for a fraction of the time.
+        for number, t in enumerate(np.unique(np.linspace(0, n - 1, min(SAMPLES, n)).astype(int))):
+            _stop_if(cancel)
+            first, last = self.reach(int(t), int(t) + 1)
+            data = self.read(first, last)
+            guides, relative = guides_of(data, int(t) - first, self.rings)
+            every = 1 if n < 4 else 4
+            part = risk_system(
+                data[t - first], self.noise(data[t - first]), LEVELS, False, guides, relative, every, number
+            )
+            if part is not None:
+                total = part if total is None else total + part
+        if total is not None:
+            weights = total.solve()
+            self.weights = weights if total.risk(weights) < total.noise_variance() else None
+
+    def reach(self, start: int, stop: int) -> tuple[int, int]:
+        """The block with the neighbours that its frames look at."""
+        far = max((k for ring in self.rings for k in ring), default=0)
+        return max(0, start - far), min(self.shape[0], stop + far)
+
+    def block(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Denoised photoelectrons of frames start … stop - 1."""
+        if self.method == "none":
+            return self.read(start, stop)
+        if self.method == "source":
+            return source_recipe(np.asarray(self.movie[start:stop]), self.camera)
+        from .purelet import LEVELS
+        from .temporal import apply_frame
+
+        first, last = self.reach(start, stop)
+        data = self.read(first, last)
+        out = np.empty((stop - start, *self.shape[1:]), np.float32)
+        for t in range(start, stop):
+            frame = data[t - first]
+            out[t - start] = apply_frame(data, t - first, self.noise(frame), self.rings, LEVELS, self.weights)
+        return out
+
+
+def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
+    """Read noise variance of one frame (y, x) in photoelectrons squared.
+
+    EMCCD: the register's gain divides it. CMOS: so does the slope of the response, taken at the local mean of 5 x 5
+    pixels, because the pixel's own noise would choose its own slope.
+    """
+    variance_e2 = np.square(cam.read_noise_map_e(camera))
+    slope: Any = np.float32(1.0)
+    if camera.type == "EMCCD":
+        slope = np.float32(camera.em_gain or 1.0)
+    if camera.type == "CMOS":
+        from scipy.ndimage import uniform_filter
+
+        local = uniform_filter(electrons, size=[1] * (electrons.ndim - 2) + [5, 5], mode="reflect")
+        width = np.float32(0.5) + np.float32(0.01) * np.abs(local)
+        slope = (cam.cmos_response(local + width, camera) - cam.cmos_response(local - width, camera)) / (2 * width)
+    elif camera.gain_map is not None:
+        slope = slope * camera.gain_map.astype(np.float32)
+    return np.broadcast_to(variance_e2 / np.square(slope), electrons.shape).astype(np.float32)
+
+
+def source_recipe(counts: Array, camera: Camera) -> NDArray[np.float32]:
+    """The source note's pipeline, literally: wavelet shrinkage of the read noise, gain undone, plain Poisson denoiser."""
+    from .wavelet import anscombe_wavelet, bayes_shrink
+
+    electrons = cam.output_electrons(counts, camera)
+    sigma = float(np.sqrt(np.mean(np.square(cam.read_noise_map_e(camera)))))
+    smooth = np.stack([bayes_shrink(frame, sigma) for frame in electrons])
+    # The camera module inverts counts: hand the smoothed electrons back as (fractional) counts.
+    as_counts = (smooth + camera.read_noise_mean_e) / camera.electrons_per_adu + cam.baseline_map_adu(camera) - 0.5
+    inputs = cam.photoelectrons(as_counts, camera)
+    return np.stack([anscombe_wavelet(frame) for frame in inputs])

@@ -1,0 +1,216 @@
+"""PURE-LET for one image: unbiased risk estimate, linear expansion of thresholds, Haar (SPEC.md §5.4)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+
+from napari_mufasa.errors import MufasaError
+
+from . import haar, let
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[Any]
+
+Method = Literal["undecimated", "cycle-spinning"]
+
+#: Windows this large (pixels per axis) carry the risk estimate; larger images are the sum of their windows.
+WINDOW = 256
+LEVELS = 5
+NO_GUIDES: list[Any] = []
+NO_GUIDE_NOISE = np.zeros(0, np.float32)
+
+
+@overload
+def pure_let(
+    image: ArrayLike,
+    alpha: float = ...,
+    sigma: ArrayLike = ...,
+    offset: float = ...,
+    *,
+    method: Method = ...,
+    levels: int = ...,
+    multiplied: bool = ...,
+    return_risk: Literal[False] = ...,
+) -> NDArray[np.float32]: ...
+
+
+@overload
+def pure_let(
+    image: ArrayLike,
+    alpha: float = ...,
+    sigma: ArrayLike = ...,
+    offset: float = ...,
+    *,
+    method: Method = ...,
+    levels: int = ...,
+    multiplied: bool = ...,
+    return_risk: Literal[True],
+) -> tuple[NDArray[np.float32], float]: ...
+
+
+def pure_let(
+    image: ArrayLike,
+    alpha: float = 1.0,
+    sigma: ArrayLike = 0.0,
+    offset: float = 0.0,
+    *,
+    method: Method = "undecimated",
+    levels: int = LEVELS,
+    multiplied: bool = False,
+    return_risk: bool = False,
+) -> NDArray[np.float32] | tuple[NDArray[np.float32], float]:
+    """Estimate x from y = alpha * Poisson(x / alpha) + N(offset, sigma^2).
+
+    Parameters
+    ----------
+    image : array (y, x) or (n,)
+        The data y, any shape. A 1-D array is treated as a trace.
+    alpha : float
+        Variance per unit of signal; 1 for counts, 2 for EMCCD photoelectrons.
+    sigma : float or array of the image's shape
+        Standard deviation of the Gaussian noise, in the units of ``image``.
+    offset : float
+        Mean of the Gaussian noise; it is removed from the result.
+    method : "undecimated" or "cycle-spinning"
+        "undecimated" weighs all shifts of the Haar blocks in one risk estimate of the image; "cycle-spinning" solves
+        each shift of the decimated transform by itself and averages: simpler, a little worse.
+    levels : int
+        Deepest level, blocks of 2^levels pixels; small images use fewer.
+    multiplied : bool
+        The variance alpha * x comes from electron multiplication (Gamma of a Poisson number) rather than scaled counts.
+    return_risk : bool
+        Also return the estimated mean squared error per pixel.
+
+    Returns
+    -------
+    float32 array of the image's shape, mean equal to the data's mean less ``offset``. Where the estimated risk is no
+    better than the noise of the data, it is the data (less ``offset``). With ``return_risk`` also that risk.
+
+    Raises
+    ------
+    MufasaError
+        The image is empty, has the wrong number of dimensions or holds NaN; alpha or sigma is negative.
+    """
+    data, variance = checked(image, alpha, sigma, offset, dimensions=(1, 2))
+    if method not in ("undecimated", "cycle-spinning"):
+        raise MufasaError(f"method is {method!r}; use 'undecimated' or 'cycle-spinning'")
+    shape = data.shape
+    plane = np.atleast_2d(data)
+    variance = np.broadcast_to(np.atleast_2d(variance), plane.shape)
+    flat = 1 in plane.shape
+    if flat and plane.shape[1] == 1:
+        plane, variance = plane.T, variance.T
+    noise = let.Noise(float(alpha), np.ascontiguousarray(variance), multiplied)
+    if method == "cycle-spinning":
+        from .cyclespin import cycle_spin
+
+        result, risk = cycle_spin(plane, noise, levels)
+    else:
+        result, risk = estimate(plane, noise, levels, flat)
+    if result.shape != plane.shape[: result.ndim]:  # pragma: no cover - the transforms keep shapes
+        raise AssertionError(result.shape)
+    final = result.reshape(shape)
+    return (final, risk) if return_risk else final
+
+
+def estimate(plane: Array, noise: let.Noise, levels: int, flat: bool) -> tuple[NDArray[np.float32], float]:
+    """Undecimated PURE-LET of one plane, with the estimated risk."""
+    system = risk_system(plane, noise, levels, flat)
+    if system is None:
+        mean_noise = noise.alpha * float(plane.mean(dtype=np.float64)) + float(np.mean(noise.variance))
+        return plane, max(mean_noise, 0.0)
+    weights = system.solve()
+    risk = system.risk(weights)
+    if not risk < system.noise_variance():
+        return plane, max(system.noise_variance(), 0.0)
+    depth = depth_for(plane.shape, levels, flat)
+    result = let.apply(plane, noise, depth, flat, NO_GUIDES, NO_GUIDE_NOISE, weights)
+    return same_mean(result, plane), risk
+
+
+def depth_for(shape: tuple[int, ...], levels: int, flat: bool) -> int:
+    """Levels used for a plane: those that fit its smallest window."""
+    sizes = shape[1:] if flat else shape
+    return haar.levels_for(tuple(min(n, WINDOW) for n in sizes), levels)
+
+
+def risk_system(
+    plane: Array,
+    noise: let.Noise,
+    levels: int,
+    flat: bool,
+    guides: list[Array] = NO_GUIDES,
+    guide_noise: Array = NO_GUIDE_NOISE,
+    every: int = 1,
+    first: int = 0,
+) -> let.System | None:
+    """Sum of the risk systems of the windows of a plane (each ``every``-th from ``first``); None where none can be built."""
+    depth = depth_for(plane.shape, levels, flat)
+    if depth == 0 or (noise.alpha == 0 and not np.any(noise.variance)):
+        return None
+    total: let.System | None = None
+    variance = np.broadcast_to(noise.variance, plane.shape)
+    for number, window in enumerate(windows(plane.shape, flat)):
+        if number % every != first % every:
+            continue
+        part, _ = let.expand(
+            np.ascontiguousarray(plane[window]),
+            let.Noise(noise.alpha, variance[window], noise.multiplied),
+            depth,
+            flat,
+            [np.ascontiguousarray(guide[window]) for guide in guides],
+            guide_noise,
+        )
+        total = part if total is None else total + part
+    return total
+
+
+def windows(shape: tuple[int, ...], flat: bool) -> list[tuple[slice, slice]]:
+    """Disjoint windows of at least half and at most one and a half `WINDOW` per axis that tile the plane."""
+
+    def cuts(n: int) -> list[slice]:
+        parts = max(1, round(n / WINDOW))
+        edges = np.linspace(0, n, parts + 1).astype(int)
+        return [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+    columns = [slice(0, shape[1])] if flat else cuts(shape[1])
+    return [(rows, cols) for rows in cuts(shape[0]) for cols in columns]
+
+
+def same_mean(result: Array, data: Array) -> NDArray[np.float32]:
+    """Move the result to the mean of the data, which is the unbiased estimate of the mean of the truth."""
+    shift = float(data.mean(dtype=np.float64)) - float(result.mean(dtype=np.float64))
+    moved: NDArray[np.float32] = (result + np.float32(shift)).astype(np.float32, copy=False)
+    return moved
+
+
+def checked(
+    image: ArrayLike, alpha: float, sigma: ArrayLike, offset: float, dimensions: tuple[int, ...]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The data less ``offset`` and the Gaussian variance, float32, or a `MufasaError`."""
+    data = np.asarray(image)
+    if data.ndim not in dimensions:
+        allowed = " or ".join(str(n) for n in dimensions)
+        raise MufasaError(f"image has {data.ndim} dimensions {data.shape}; give an array of {allowed}")
+    if data.size == 0:
+        raise MufasaError(f"image of shape {data.shape} is empty; give at least one pixel")
+    if not (np.issubdtype(data.dtype, np.number) or data.dtype == bool) or np.iscomplexobj(data):
+        raise MufasaError(f"image has type {data.dtype}; give real numbers")
+    if not np.isfinite(alpha) or alpha < 0:
+        raise MufasaError(f"alpha is {alpha}; give a number >= 0 (1 for counts, 2 for EMCCD photoelectrons)")
+    spread = np.asarray(sigma, dtype=np.float32)
+    if not np.all(np.isfinite(spread)) or np.any(spread < 0):
+        raise MufasaError(f"sigma holds {float(np.min(spread))}; every value must be finite and >= 0")
+    try:
+        np.broadcast_to(spread, data.shape)
+    except ValueError:
+        raise MufasaError(f"sigma has shape {spread.shape}, the image {data.shape}; give a number or a map") from None
+    values = np.ascontiguousarray(data - offset if offset else data, dtype=np.float32)
+    if not np.all(np.isfinite(values)):
+        bad = int(np.count_nonzero(~np.isfinite(values)))
+        raise MufasaError(f"image holds {bad} values that are not finite; replace them before denoising")
+    return values, spread * spread
