@@ -23,14 +23,14 @@ def em_excess_noise(world: World, s: float, form: int, rng: Rng) -> Found:
     """The register multiplies with less noise than the ideal factor 2. Forms: Gamma, partly noiseless."""
     if world.camera.kind != "EMCCD":
         raise ValueError(f"em_excess_noise needs an EMCCD, not {world.camera.kind}; use suitable_base")
-    world.camera.excess_factor = 2.0 - s
+    world.camera.excess_factor = 2.0 - s**1.5
     world.camera.excess_form = form
-    return {"excess_noise_factor": 2.0 - s}
+    return {"excess_noise_factor": 2.0 - s**1.5}
 
 
 def clock_induced_charge(world: World, s: float, form: int, rng: Rng) -> Found:
     """More spurious electrons than believed. Forms: before the register, in it, growing with y."""
-    extra_e = 0.4 * s**2
+    extra_e = 0.4 * s**2.5
     if form == 1 and world.camera.kind == "EMCCD":
         world.camera.serial_charge_e = 3.0 * extra_e
         return {"serial_events_per_px": 3.0 * extra_e, "believed_e_per_px": world.camera.spurious_e}
@@ -117,7 +117,7 @@ def detector_saturation(world: World, s: float, form: int, rng: Rng) -> Found:
     """Bright pixels give less than they should. Forms: soft x/(1+x/W), hard well, rounded."""
     peak = world.peak_e * (world.camera.em_gain if world.camera.kind == "EMCCD" else 1.0)
     if form == 0:
-        loss = 0.45 * s
+        loss = 0.45 * s**1.5
         well = peak * (1.0 - loss) / max(loss, 1e-6)
         world.camera.response = lambda q: q / (1.0 + np.maximum(q, 0.0) / np.float32(well))
         at_peak = 1.0 / (1.0 + peak / well)

@@ -24,7 +24,7 @@ def _sign(rng: Rng) -> float:
 def illumination_profile(world: World, s: float, form: int, rng: Rng) -> Found:
     """Uneven light on molecules and background alike. Forms: centred, off-centre, tilt, dark rim."""
     y, x = world.grid()
-    dimming = 0.85 * s
+    dimming = 0.85 * s**2
     y0 = x0 = 0.0
     found: Found = {}
     if form in (0, 1):
@@ -48,14 +48,14 @@ def illumination_profile(world: World, s: float, form: int, rng: Rng) -> Found:
 
 def laser_drift(world: World, s: float, form: int, rng: Rng) -> Found:
     """The laser's power moves over the movie: molecules and background alike."""
-    change = 0.5 * s * _sign(rng)
+    change = 0.5 * s**1.5 * _sign(rng)
     world.light_t = world.light_t * np.maximum(1.0 + change * course(form, world.n_frames, rng), 0.02)
     return {"relative_change": float(change)}
 
 
 def laser_flicker(world: World, s: float, form: int, rng: Rng) -> Found:
     """Noise common to all molecules and the background. Forms: white, pink, correlated over a few frames."""
-    rms = 0.10 * s
+    rms = 0.10 * s**1.5
     found: Found = {}
     if form == 0:
         noise = rng.standard_normal(world.n_frames)
@@ -71,7 +71,7 @@ def laser_flicker(world: World, s: float, form: int, rng: Rng) -> Found:
 
 def periodic_modulation(world: World, s: float, form: int, rng: Rng) -> Found:
     """A ripple of the light (aliased mains). Forms: sine, square wave, wandering phase."""
-    amplitude = 0.2 * s
+    amplitude = 0.2 * s**1.5
     period = 3.0 * (30.0 / 3.0) ** rng.random()
     phase = 2 * np.pi * (np.arange(world.n_frames) / period + rng.random())
     if form == 2:
@@ -184,7 +184,7 @@ def astigmatism(world: World, s: float, form: int, rng: Rng) -> Found:
 def background_gradient(world: World, s: float, form: int, rng: Rng) -> Found:
     """Out-of-focus light that varies over the field. Forms: linear, one haze, several blobs (cells)."""
     y, x = world.grid()
-    span = 1.2 * s
+    span = 1.2 * s**2
     if form == 0:
         angle = rng.uniform(0, 2 * np.pi)
         shape = y * np.sin(angle) + x * np.cos(angle)
@@ -203,7 +203,7 @@ def background_gradient(world: World, s: float, form: int, rng: Rng) -> Found:
 
 def background_decay(world: World, s: float, form: int, rng: Rng) -> Found:
     """The background alone fades. Forms: exponential, two exponentials, linear."""
-    lost = 0.6 * s
+    lost = 0.6 * s**1.5
     u = course(0, world.n_frames, rng)
     if form == 0:
         tau = rng.uniform(0.2, 0.7)

@@ -207,16 +207,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     import tifffile
 
     parser = argparse.ArgumentParser(description="Record a movie with a hidden effect.")
-    parser.add_argument(
-        "--effect", action="append", default=[], help="identifier; may be repeated; none: null case"
-    )
-    parser.add_argument(
-        "--strength", action="append", type=float, default=[], help="one per effect (default 0.5)"
-    )
+    parser.add_argument("--effect", action="append", default=[], help="identifier; may be repeated; none: null case")
+    parser.add_argument("--strength", action="append", type=float, default=[], help="one per effect (default 0.5)")
     parser.add_argument("--form", type=int, help="index of the functional form; default: drawn from the seed")
-    parser.add_argument(
-        "--base", choices=BASE_NAMES, help="believed model; default: the one that suits the effect"
-    )
+    parser.add_argument("--base", choices=BASE_NAMES, help="believed model; default: the one that suits the effect")
     parser.add_argument("--model", type=Path, help="believed model.json instead of --base")
     parser.add_argument("--nuisance", type=float, default=0.12)
     parser.add_argument("--n-molecules", type=int, default=50)

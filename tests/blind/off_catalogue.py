@@ -71,9 +71,7 @@ def thermal_expansion(world: World, s: float, rng: Rng) -> Found:
     total = 0.10 * s * (1.0 if rng.random() < 0.5 else -1.0)
     centre = np.array([ny / 2, nx / 2]) + rng.normal(0, 0.05, 2) * [ny, nx]
     u = (np.arange(world.n_frames * SUBSTEPS) + 0.5) / (world.n_frames * SUBSTEPS)
-    world.wander_px = _add(
-        world.wander_px, total * u[None, :, None] * (world.positions_px - centre)[:, None, :]
-    )
+    world.wander_px = _add(world.wander_px, total * u[None, :, None] * (world.positions_px - centre)[:, None, :])
     return {"relative_expansion": float(total)}
 
 

@@ -19,9 +19,7 @@ MAX_VISITS = 200_000
 def bright_periods(world: World, local_light: float, rng: Rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One emitter: starts and ends of its bright periods as doses, and the dose at the frame edges."""
     edges_s = np.arange(world.n_frames + 1) * world.frame_s
-    edges_dose = (
-        np.concatenate([[0.0], np.cumsum(np.maximum(world.light_t, 0.0))]) * world.frame_s * local_light
-    )
+    edges_dose = np.concatenate([[0.0], np.cumsum(np.maximum(world.light_t, 0.0))]) * world.frame_s * local_light
     budget = world.fatal_dose(rng) if world.fatal_dose else np.inf
     now_s = world.start_delay(rng) if world.start_delay else 0.0
     end_s, full_dose = edges_s[-1], edges_dose[-1]
@@ -42,9 +40,7 @@ def bright_periods(world: World, local_light: float, rng: Rng) -> tuple[np.ndarr
             break
         now_s = float(np.interp(dose + lasts, edges_dose, edges_s)) + state.dwell(rng)
         if len(starts) > MAX_VISITS:
-            raise ValueError(
-                f"more than {MAX_VISITS} dark visits of one molecule; lower the rates of its dark states"
-            )
+            raise ValueError(f"more than {MAX_VISITS} dark visits of one molecule; lower the rates of its dark states")
     return np.array(starts), np.array(ends), edges_dose
 
 

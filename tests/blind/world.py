@@ -78,9 +78,7 @@ class World:
     halo: tuple[float, float] = (0.0, 1.0)  # share of photons, width factor
     background_t: np.ndarray = field(default_factory=lambda: np.empty(0))
     background_map: np.ndarray = field(default_factory=lambda: np.empty(0))
-    after: list[Callable[[np.ndarray, Rng], np.ndarray]] = field(
-        default_factory=list
-    )  # recorded stack -> stack
+    after: list[Callable[[np.ndarray, Rng], np.ndarray]] = field(default_factory=list)  # recorded stack -> stack
 
     def __post_init__(self) -> None:
         n = len(self.positions_px)
@@ -117,14 +115,14 @@ class World:
 def scatter(n: int, shape_px: tuple[int, int], rng: Rng, min_distance_px: float = 5.0) -> np.ndarray:
     """Random positions, some on the very border; the minimum distance is kept where there is room for it."""
     ny, nx = shape_px
-    placed: list[np.ndarray] = []
-    for _ in range(n):
+    placed = np.empty((n, 2))
+    for i in range(n):
         for _attempt in range(30):
-            trial = np.array([rng.uniform(-0.5, ny - 0.5), rng.uniform(-0.5, nx - 0.5)])
-            if all(np.hypot(*(trial - p)) >= min_distance_px for p in placed):
+            trial = rng.uniform(-0.5, [ny - 0.5, nx - 0.5])
+            if ((placed[:i] - trial) ** 2).sum(axis=1).min(initial=np.inf) >= min_distance_px**2:
                 break
-        placed.append(trial)  # after thirty tries it is put where it fell: crowding happens
-    return np.array(placed).reshape(n, 2)
+        placed[i] = trial  # after thirty tries it is put where it fell: crowding happens
+    return placed
 
 
 def build(model: bases.Believed, n_molecules: int, n_dark: int, rng: Rng) -> World:
