@@ -1,0 +1,120 @@
+"""What a diagnosis says: plain data, ready for JSON, tables, figures and the viewer (SPEC.md §10)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from napari_mufasa.model import Model
+
+Verdict = Literal["adequate", "missing_effect", "unexplained"]
+ERROR_UNIT = "rms whitened residual of the held-out observables (1 = noise of the measurement)"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect's case: how much of the misfit it explains, with which parameters.
+
+    `p_value` is the calibrated probability of so much evidence when nothing is missing; `error_after` the
+    held-out error with the effect in the model; `share_explained` the part of the removable error it removes.
+    """
+
+    effect: str
+    p_value: float
+    evidence: float
+    error_after: float | None
+    share_explained: float | None
+    parameters: dict[str, Any]
+    parameters_sd: dict[str, float]
+    indistinguishable_from: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "effect": self.effect,
+            "p_value": self.p_value,
+            "evidence": self.evidence,
+            "error_after": self.error_after,
+            "share_explained": self.share_explained,
+            "parameters": self.parameters,
+            "parameters_sd": self.parameters_sd,
+            "indistinguishable_from": list(self.indistinguishable_from),
+        }
+
+
+@dataclass(frozen=True)
+class Curve:
+    """An observable as a curve: measured, base model and completed model, with one standard deviation."""
+
+    name: str
+    title: str
+    x_label: str
+    y_label: str
+    x: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    before: NDArray[np.float64]
+    before_sd: NDArray[np.float64]
+    after: NDArray[np.float64]
+    after_sd: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Report:
+    """The answer of `diagnose` and of a hand-made refinement.
+
+    Attributes
+    ----------
+    verdict : "adequate", "missing_effect" or "unexplained"
+    error : before, after, floor and their unit, all on data not used for fitting
+    failing : observables off in the base model, worst first: observable, title, unit, z, z_after, where
+    ranking : candidates, best first
+    chosen : effects added, in order
+    history : error after each step, the base model first
+    model : the completed model, ready to simulate; `base` : the model believed, nuisance values re-fitted
+    observables : table of all observables: observable, title, unit, where, measured, sd, before, after,
+        z_before, z_after
+    curves : what to draw
+    detectable : for each effect, the smallest strength this data would have shown with 80 % power (or None)
+    notes : sentences about choices made (crop, subset, what stays off)
+    """
+
+    verdict: Verdict
+    error: dict[str, Any]
+    failing: list[dict[str, Any]]
+    ranking: list[Candidate]
+    chosen: list[str]
+    history: list[dict[str, Any]]
+    model: Model
+    base: Model
+    observables: pd.DataFrame
+    curves: list[Curve]
+    seconds: float
+    seed: int
+    detectable: dict[str, float | None] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, Any]:
+        """report.json of SPEC.md §10, with the additions a reader wants."""
+        return {
+            "verdict": self.verdict,
+            "error": self.error,
+            "failing": self.failing,
+            "ranking": [candidate.to_dict() for candidate in self.ranking],
+            "chosen": self.chosen,
+            "history": self.history,
+            "model": self.model.to_dict(),
+            "seconds": self.seconds,
+            "seed": self.seed,
+            "detectable": self.detectable,
+            "notes": self.notes,
+        }
+
+    def to_json(self, path: str) -> None:
+        from napari_mufasa.io import write_json
+
+        write_json(path, self.to_dict())
