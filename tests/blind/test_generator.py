@@ -136,6 +136,20 @@ def test_nuisance_stays_in_its_box_and_fills_it() -> None:
     assert max(abs(f["baseline_shift_adu"]) for f in factors) <= 4.0
 
 
+def test_nuisance_reaches_the_world() -> None:
+    right, wrong = (g._start(small(), 5, nuisance, 1) for nuisance in (0.0, 0.12))
+    factors = wrong[1]["nuisance"]
+    for name, factor in (
+        ("photons_per_s", "brightness_factor"),
+        ("background_photons", "background_factor"),
+        ("sigma_px", "psf_width_factor"),
+    ):
+        assert getattr(wrong[0], name) / getattr(right[0], name) == pytest.approx(factors[factor])
+        assert factors[factor] != 1.0
+    shift = wrong[0].camera.baseline_adu - right[0].camera.baseline_adu
+    assert shift == pytest.approx(factors["baseline_shift_adu"]) and shift != 0
+
+
 @pytest.mark.parametrize(("kind", "strength"), [("no_such", 0.5), ("stage_drift", 1.5), ("stage_drift", -0.1)])
 def test_bad_requests_are_refused(kind: str, strength: float) -> None:
     with pytest.raises(ValueError, match=kind):
@@ -236,6 +250,15 @@ def test_bleaching_counts_light_not_time() -> None:
     rng = np.random.default_rng(1)
     dose = np.array([photophysics.bright_periods(world, 0.5, rng)[1][-1] for _ in range(500)])
     assert dose.mean() == pytest.approx(12.7, rel=5 / np.sqrt(500))  # dose is light times time: the nominal life
+
+
+def test_blinking_does_not_reset_the_fatal_dose() -> None:
+    world = hidden_world("triplet_blinking", 0.7, 0, n_frames=3000)
+    world.fatal_dose = lambda _rng: 1.5
+    starts, ends, _ = photophysics.bright_periods(world, 1.0, np.random.default_rng(1))
+    assert len(starts) > 5
+    assert (ends - starts).sum() == pytest.approx(1.5)
+    assert (starts[1:] >= ends[:-1] - 1e-12).all()
 
 
 def test_dose_per_frame_conserves_light() -> None:
@@ -419,6 +442,15 @@ def test_stage_drift_ends_where_the_truth_says(form: int) -> None:
     np.testing.assert_allclose(moved, [truth["end_y_px"], truth["end_x_px"]], atol=0.2)
     if form in (0, 1, 2):
         assert np.hypot(*moved) == pytest.approx(4.0, abs=0.25)
+
+
+def test_motion_inside_a_frame_blurs() -> None:
+    world = build(small(n_frames=300), 1, 0, np.random.default_rng(0))
+    moment = np.arange(300 * SUBSTEPS)
+    world.shift_px = np.stack([np.sin(2 * np.pi * moment / SUBSTEPS), np.zeros(len(moment))], axis=1)
+    _, covariance = spot_of(world, slice(0, 300))
+    # one swing of amplitude 1 px per frame adds 1/2 along y and nothing along x
+    assert covariance[0, 0] - covariance[1, 1] == pytest.approx(0.5, abs=0.08)
 
 
 def test_focus_drift_widens_and_keeps_the_light() -> None:
