@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,33 +46,34 @@ def expose(
 ) -> NDArray[np.uint16]:
     """Record photons: (frame, y, x) expected photons per pixel → (frame, y, x) ADU, uint16.
 
-    `frames` numbers the frames given; every frame draws from its own stream, so any block of a movie can be
-    recorded alone. The first `hooks.memory_frames` frames only feed the sensor's memory: frames before the
+    `frames` numbers the frames given; every pixel of every frame draws from its own stream, so any block of a
+    movie can be recorded alone. The first `hooks.memory_frames` frames only feed the sensor's memory: frames before the
     block must be given first where the movie has them, and are returned as recorded too.
     """
     # 1 detection: n_ie ~ Poisson(QE x̃ + c)
     expected = camera.quantum_efficiency * photons + np.float32(camera.clock_induced_charge_e)
     for hook in hooks.expected:
         expected = hook(expected, frames)
-    rngs = [streams.of("camera", int(f)) for f in frames]
-    electrons = np.empty(expected.shape, dtype=np.float32)
-    for i, rng in enumerate(rngs):
-        electrons[i] = rng.poisson(np.maximum(expected[i], 0.0))
-        # 2 multiplication or conversion
-        electrons[i] = _amplify(electrons[i], camera, rng, hooks.excess_noise_factor)
+    # 2 multiplication or conversion
+    excess = multiplication_noise(camera) if hooks.excess_noise_factor is None else hooks.excess_noise_factor
+    detect, read_out = _kernels()
+    numbers = np.ascontiguousarray(frames, dtype=np.int64)
+    electrons = detect(np.ascontiguousarray(expected, np.float32), excess, numbers, streams.key("detection"))
+    electrons = cmos_response(electrons, camera) if camera.type == "CMOS" else electrons * np.float32(_gain(camera))
     # 3 what happens to the charge on its way out
     for hook in hooks.amplified:
         electrons = hook(electrons, frames)
     # 4 read noise N(μ, σ²)
-    sigma = read_noise_map_e(camera)
-    for i, rng in enumerate(rngs):
-        electrons[i] += sigma * rng.standard_normal(electrons.shape[1:], dtype=np.float32)
-    electrons += np.float32(camera.read_noise_mean_e)
+    sigma = np.broadcast_to(np.asarray(read_noise_map_e(camera), np.float32), electrons.shape[1:])
+    electrons = np.ascontiguousarray(electrons, dtype=np.float32)
+    read_out(electrons, sigma, camera.read_noise_mean_e, numbers, streams.key("read noise"))
     for hook in hooks.output:
         electrons = hook(electrons, frames)
-    # 5 digitisation: min(⌊n_oe/e_per_ADU⌋ + BL, ADC_max), never below 0
-    adu = np.floor(electrons / np.float32(camera.electrons_per_adu)) + baseline_map_adu(camera)
-    return np.clip(adu, 0, camera.adc_max).astype(np.uint16)
+    # 5 digitisation: min(⌊n_oe/e_per_ADU⌋ + BL, ADC_max), never below 0. A baseline between two counts is
+    # added before the floor, or the ½ of the inverse would not undo it.
+    adu = np.floor(electrons / np.float32(camera.electrons_per_adu) + baseline_map_adu(camera))
+    digital: NDArray[np.uint16] = np.clip(adu, 0, camera.adc_max).astype(np.uint16)
+    return digital
 
 
 def output_electrons(movie: NDArray[Any], camera: Camera) -> Stack:
@@ -148,20 +150,42 @@ def _gain(camera: Camera) -> Any:
     return float(camera.em_gain or 1.0) * _gain_map(camera)
 
 
-def _amplify(
-    electrons: Stack, camera: Camera, rng: np.random.Generator, excess_noise_factor: float | None
-) -> NDArray[Any]:
-    """Step 2. A multiplication with excess noise factor F² = 1 + 1/k gives Gamma(shape k·n, scale g/k)."""
-    if camera.type == "CMOS":
-        return cmos_response(electrons, camera)
-    if excess_noise_factor is None:
-        excess_noise_factor = multiplication_noise(camera)
-    if excess_noise_factor <= 1.0:
-        return electrons * _gain(camera)
-    shape = 1.0 / (excess_noise_factor - 1.0)
-    # standard_gamma(0) is 0: no electron in, none out.
-    amplified = rng.standard_gamma(shape * electrons, dtype=np.float32)
-    return amplified * np.float32(1.0 / shape) * _gain(camera)
+@cache
+def _kernels() -> tuple[Any, Any]:
+    """Shot noise with multiplication, and read noise, per pixel; compiled on first use."""
+    import numba
+
+    from napari_mufasa.variates import gamma, normal, poisson, stream
+
+    @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+    def detect(expected, excess, frames, key):  # type: ignore[no-untyped-def]
+        """Photoelectrons times their multiplication noise of mean 1: an excess noise factor F² = 1 + 1/k makes
+        n electrons Gamma(shape k·n, scale 1/k); no electron in, none out."""
+        n_frames, height, width = expected.shape
+        result = np.empty(expected.shape, dtype=np.float32)
+        shape = 1.0 / (excess - 1.0) if excess > 1.0 else 0.0
+        for f in range(n_frames):
+            for y in range(height):
+                for x in range(width):
+                    state = stream(key, frames[f], y * width + x)
+                    n, state = poisson(expected[f, y, x], state)
+                    if shape > 0.0:
+                        amplified, state = gamma(shape * n, state)
+                        result[f, y, x] = amplified / shape
+                    else:
+                        result[f, y, x] = n
+        return result
+
+    @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+    def read_out(electrons, sigma, mean, frames, key):  # type: ignore[no-untyped-def]
+        n_frames, height, width = electrons.shape
+        for f in range(n_frames):
+            for y in range(height):
+                for x in range(width):
+                    noise, _ = normal(stream(key, frames[f], y * width + x))
+                    electrons[f, y, x] += mean + sigma[y, x] * noise
+
+    return detect, read_out
 
 
 def _check_maps(movie: NDArray[Any], camera: Camera) -> None:

@@ -25,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from napari_mufasa.effects.base import Effect, effect_from_data
+from napari_mufasa.effects.base import Effect, effect_class, effect_from_data
 from napari_mufasa.errors import MufasaError
 
 Protocol = Literal["PALM", "STORM", "FF", "Blinking"]
@@ -171,7 +171,18 @@ class Sample(Part):
 
 
 def _effects(value: Any) -> Any:
-    return [effect_from_data(item) for item in value] if isinstance(value, (list, tuple)) else value
+    if not isinstance(value, (list, tuple)):
+        return value
+    return [_effect(item, f"effects.{i}") for i, item in enumerate(value)]
+
+
+def _effect(data: Any, path: str) -> Effect:
+    try:
+        return effect_from_data(data)
+    except ValidationError as error:
+        raise MufasaError(explain(error, effect_class(str(data["kind"])), path)) from None
+    except ValueError as error:
+        raise MufasaError(f"{path}: {error}") from None
 
 
 class Model(Part):
@@ -236,11 +247,11 @@ class Model(Part):
         data = self.model_dump()
         for path, value in values.items():
             *parents, name = path.split(".")
-            target = data
+            target: Any = data
             for parent in parents:
-                target = target[parent]
-            if name not in target:
-                raise MufasaError(f"a model has no {path}; see SPEC.md §10 for its keys")
+                target = _member(target, parent)
+            if not isinstance(target, dict) or name not in target:
+                raise MufasaError(f"a model has no {path}: names are those of model.json, as optics.psf_fwhm_nm")
             target[name] = value
         return Model.from_dict(data)
 
@@ -253,28 +264,42 @@ class Model(Part):
     @property
     def sigma_px(self) -> float:
         """PSF standard deviation in detector pixels: FWHM / 2.3548 / pixel size."""
-        return self.optics.psf_fwhm_nm / (2 * np.sqrt(2 * np.log(2))) / self.acquisition.pixel_size_nm
+        return float(self.optics.psf_fwhm_nm / (2 * np.sqrt(2 * np.log(2))) / self.acquisition.pixel_size_nm)
 
 
-def explain(error: ValidationError, root: type[BaseModel]) -> str:
-    """One line for the first problem: field, value, what is allowed, remedy."""
+def _member(target: Any, name: str) -> Any:
+    """A part of nested plain data by key or index; None where there is none."""
+    if isinstance(target, (list, tuple)) and name.isdecimal() and int(name) < len(target):
+        return target[int(name)]
+    return target.get(name) if isinstance(target, dict) else None
+
+
+def explain(error: ValidationError, root: type[BaseModel], prefix: str = "") -> str:
+    """One line for the first problem: field, value, what is allowed, remedy. `prefix` is where `root` sits."""
     first = error.errors()[0]
-    path = ".".join(str(part) for part in first["loc"])
-    value = first.get("input")
+    loc = first["loc"]
+    path = ".".join([prefix, *(str(part) for part in loc)] if prefix else [str(part) for part in loc])
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
-        names = _known_keys(root, first["loc"][:-1])
-        near = difflib.get_close_matches(str(first["loc"][-1]), names, n=1, cutoff=0.4)
+        names = _known_keys(root, loc[:-1])
+        near = difflib.get_close_matches(str(loc[-1]), names, n=1, cutoff=0.4)
         hint = f"did you mean {near[0]}? " if near else ""
         return f"unknown key {path}: {hint}known keys here are {', '.join(names)}{more}"
     if first["type"] == "missing":
-        return f"{path} is missing: {_describe(root, first['loc']) or 'give a value'}{more}"
+        names = _known_keys(root, loc)
+        needs = f"give an object with {', '.join(names)}" if names else f"give the {_describe(root, loc) or 'value'}"
+        return f"{path} is missing: {needs}{more}"
     if first["type"] == "value_error":
         message = str(first["ctx"]["error"])
-        return f"{path + ': ' if path else ''}{message}{more}"
-    description = _describe(root, first["loc"])
-    remedy = f"; it is the {description}" if description else ""
-    return f"{path} = {value!r}: {first['msg'].lower()}{remedy}{more}"
+        return f"{message if not path or path in message else f'{path}: {message}'}{more}"
+    description = _describe(root, loc)
+    message = first["msg"][:1].lower() + first["msg"][1:]
+    return f"{path} = {_short(first.get('input'))}: {message}{f'; {description}' if description else ''}{more}"
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "…"
 
 
 def _field(root: type[BaseModel], loc: tuple[int | str, ...]) -> Any:
@@ -289,8 +314,17 @@ def _field(root: type[BaseModel], loc: tuple[int | str, ...]) -> Any:
 
 
 def _describe(root: type[BaseModel], loc: tuple[int | str, ...]) -> str:
+    """What a field is, and what is allowed: "PSF width in nm (allowed: > 0, ≤ 100000)"."""
     field = _field(root, loc)
-    return (field.description or "") if field is not None else ""
+    if field is None:
+        return ""
+    signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
+    limits = [f"{sign} {getattr(m, name):g}" for m in field.metadata for name, sign in signs.items() if hasattr(m, name)]
+    extra = field.json_schema_extra
+    unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+    allowed = f"allowed: {', '.join(limits)}" if limits else ""
+    inside = " ".join(part for part in (allowed, unit) if part)
+    return f"{field.description or ''}{f' ({inside})' if inside else ''}".strip()
 
 
 def _known_keys(root: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:

@@ -164,4 +164,4 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
 def _emit(scene: Scene, engine: Engine) -> NDArray[np.int64]:
     timing = scene.model.acquisition
     exposure = Exposure(timing.frame_length_s, timing.interval_s - timing.frame_length_s, scene.light)
-    return simulate_photons(scene.chain, scene.drive(), exposure, scene.streams.of("emission"), engine)
+    return simulate_photons(scene.chain, scene.drive(), exposure, scene.streams, engine)

@@ -1,7 +1,8 @@
 """Named random streams: one seed gives the same movie whatever the workers and chunks.
 
-Every source of chance has its own stream, and every frame its own within it, so that a block of frames can
-be drawn anywhere and in any order, and adding one effect leaves all other random numbers as they were.
+Every source of chance has its own stream, so that adding one effect leaves all other random numbers as they
+were. What is drawn per frame has one stream per frame; what is drawn per pixel or molecule in a compiled
+kernel has a key, under which `variates` counts pixels or molecules.
 """
 
 from __future__ import annotations
@@ -28,3 +29,8 @@ class Streams:
         """The generator of `name`, or of one frame of it."""
         key = (crc32(name.encode()),) if frame is None else (crc32(name.encode()), int(frame))
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence(int(self.seed), spawn_key=key)))
+
+    def key(self, name: str) -> np.uint64:
+        """The key of `name` for counter-based variates (see `variates.stream`)."""
+        sequence = np.random.SeedSequence(int(self.seed), spawn_key=(crc32(name.encode()),))
+        return np.uint64(sequence.generate_state(1, np.uint64)[0])

@@ -8,12 +8,13 @@ registers a class under the entry-point group ``napari_mufasa.effects``.
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 if TYPE_CHECKING:
     from napari_mufasa.scene import Scene
@@ -74,8 +75,10 @@ class Effect(BaseModel):
         """Whether the effect makes sense for this model (an EM register needs an EMCCD, …)."""
         return True
 
-    def model_dump(self, **kwargs: Any) -> dict[str, Any]:
-        return {"kind": self.kind, **super().model_dump(**kwargs)}
+    @model_serializer(mode="wrap")
+    def _with_kind(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # A serializer, not `model_dump`: only this one is used when the effect is part of a model.
+        return {"kind": self.kind, **handler(self)}
 
     @classmethod
     def plausible(cls) -> dict[str, tuple[float, float, bool]]:
@@ -111,9 +114,14 @@ def catalogue() -> dict[str, type[Effect]]:
     for module in (photophysics, illumination, motion, optics, camera):
         found.update({effect.kind: effect for effect in module.EFFECTS})
     for point in entry_points(group=ENTRY_POINT_GROUP):
-        effect = point.load()
+        try:
+            effect = point.load()
+        except Exception as error:  # someone else's broken package must not take the built-in effects away
+            warnings.warn(f"effect plugin {point.name} ({point.value}) does not load: {error!r}", stacklevel=2)
+            continue
         if not (isinstance(effect, type) and issubclass(effect, Effect) and effect.kind):
-            raise TypeError(f"entry point {point.name} ({point.value}) is not an Effect with a kind")
+            warnings.warn(f"effect plugin {point.name} ({point.value}) is not an Effect with a kind", stacklevel=2)
+            continue
         found.setdefault(effect.kind, effect)
     return found
 

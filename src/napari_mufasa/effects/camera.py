@@ -271,7 +271,7 @@ class ImageLag(Effect):
             result = (1 - f) * electrons
             for back in range(1, depth + 1):
                 weight = f if self.form == "one_frame" else (1 - f) * f**back
-                result[back:] += weight * electrons[: len(electrons) - back]
+                result[back:] += weight * electrons[: max(0, len(electrons) - back)]
                 # The sensor was in the same light before the movie began.
                 result[:back] += weight * electrons[:1]
             return result

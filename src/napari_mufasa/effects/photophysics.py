@@ -14,14 +14,16 @@ from napari_mufasa.scene import Scene
 STAGE = "photophysics"
 
 
-def bright_exits(chain: Chain, target: str, rate_per_s: float) -> tuple[Transition, ...]:
+def bright_exits(
+    chain: Chain, target: str, rate_per_s: float, pairs: list[tuple[str, str]] | None = None
+) -> tuple[Transition, ...]:
     """Transitions from the excited state(s) that leave brightness for `target` at `rate_per_s` in full light.
 
     The rate out of the excited state is larger by the inverse of the time spent there; without any light
-    there are none.
+    there are none. `pairs` limits them to some (ground, excited) pairs.
     """
     exits = []
-    for ground, excited in chain.emitting_pairs():
+    for ground, excited in chain.emitting_pairs() if pairs is None else pairs:
         up = sum(t.rate_per_s for t in chain.transitions if (t.source, t.target) == (ground, excited))
         down = sum(t.rate_per_s for t in chain.transitions if t.source == excited)
         if up > 0:
@@ -30,16 +32,28 @@ def bright_exits(chain: Chain, target: str, rate_per_s: float) -> tuple[Transiti
 
 
 def with_dark_states(
-    chain: Chain, prefix: str, off_rate_per_s: float, dark_times_s: list[float], weights: list[float]
-) -> Chain:
-    """Dark states reached from the excited state; several of them make any mixture of dwell times."""
-    ground = chain.emitting_pairs()[0][0]
-    for i, (dwell, weight) in enumerate(zip(dark_times_s, weights, strict=True)):
-        name = f"{prefix}{i + 1}"
-        chain = replace(chain, states=(*chain.states, name))
-        back = Transition(name, ground, 1.0 / dwell)
-        chain = chain.with_transitions(back, *bright_exits(chain, name, off_rate_per_s * weight))
-    return chain
+    chain: Chain, prefix: str, off_rate_per_s: float, dark_times_s: list[float], weights: list[float],
+    starting_dark: float = 0.0,
+) -> Chain:  # fmt: skip
+    """Dark states reached from the excited state; several of them make any mixture of dwell times.
+
+    Every bright pair has dark states of its own, so that kinds of molecules never mix. `starting_dark` of
+    those that would start bright start dark; who starts elsewhere (not activated, in T1) still does.
+    """
+    occupied = np.array(dark_times_s) * np.array(weights)  # in the steady state: how often × how long
+    occupied = starting_dark * occupied / occupied.sum()
+    start = dict(chain.start)
+    for ground, excited in chain.emitting_pairs():
+        bright = start.get(ground, 0.0)
+        for i, (dwell, weight) in enumerate(zip(dark_times_s, weights, strict=True)):
+            name = chain.free_name(f"{prefix}{i + 1}")
+            chain = replace(chain, states=(*chain.states, name))
+            back = Transition(name, ground, 1.0 / dwell)
+            exits = bright_exits(chain, name, off_rate_per_s * weight, [(ground, excited)])
+            chain = chain.with_transitions(back, *exits)
+            start[name] = bright * float(occupied[i])
+        start[ground] = bright * (1 - starting_dark)
+    return chain.starting(start)
 
 
 def dwell_mixture(form: str, mean_s: float) -> tuple[list[float], list[float]]:
@@ -70,17 +84,9 @@ class _DarkState(Effect):
         if values.off_rate_per_s == 0:
             return
         dwell, weights = dwell_mixture(values.form, values.dark_time_s)
-        chain = with_dark_states(scene.chain, self._prefix, values.off_rate_per_s, dwell, weights)
-        if values.start == "equilibrium":
-            dark = values.off_rate_per_s * values.dark_time_s
-            share = dark / (1 + dark)
-            start = {state: p * (1 - share) for state, p in chain.start.items()}
-            # In the steady state a dark state is occupied in proportion to how often × how long it is entered.
-            occupied = np.array(dwell) * np.array(weights)
-            for i, o in enumerate(occupied / occupied.sum()):
-                start[f"{self._prefix}{i + 1}"] = share * float(o)
-            chain = chain.starting(start)
-        scene.chain = chain
+        dark = values.off_rate_per_s * values.dark_time_s
+        share = dark / (1 + dark) if values.start == "equilibrium" else 0.0
+        scene.chain = with_dark_states(scene.chain, self._prefix, values.off_rate_per_s, dwell, weights, share)
 
 
 class TripletBlinking(_DarkState):
@@ -216,14 +222,17 @@ class DelayedActivation(Effect):
             return
         chain = scene.chain
         start = {state: p * (1 - self.fraction) for state, p in chain.start.items()}
-        bright = max(chain.start, key=lambda s: chain.start[s])
-        if self.form == "exponential":
-            steps = [Transition("inactive", bright, self.activation_rate_per_s)]
-        else:  # two steps of twice the rate: the same mean, few at the very start
-            rate = 2 * self.activation_rate_per_s
-            steps = [Transition("inactive", "halfway", rate), Transition("halfway", bright, rate)]
-        chain = replace(chain, states=(*chain.states, *(t.source for t in steps)))
-        scene.chain = chain.with_transitions(*steps).starting(start | {"inactive": self.fraction})
+        inactive = last = chain.free_name("inactive")
+        new_states, steps, rate = [inactive], [], self.activation_rate_per_s
+        if self.form == "two_step":  # two steps of twice the rate: the same mean, few at the very start
+            rate *= 2
+            last = chain.free_name("halfway")
+            new_states.append(last)
+            steps.append(Transition(inactive, last, rate))
+        # Activated, a molecule is what it would have been at the start.
+        steps += [Transition(last, state, rate * p) for state, p in chain.start.items() if p > 0]
+        chain = replace(chain, states=(*chain.states, *new_states))
+        scene.chain = chain.with_transitions(*steps).starting(start | {inactive: self.fraction})
 
 
 class BrightnessHeterogeneity(Effect):

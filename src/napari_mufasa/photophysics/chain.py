@@ -35,6 +35,8 @@ class Chain:
     start: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if len(set(self.states)) != len(self.states):
+            raise MufasaError(f"states {self.states} name one state twice")
         for t in self.transitions:
             if t.source not in self.states or t.target not in self.states or t.source == t.target:
                 raise MufasaError(f"transition {t.source}→{t.target} does not join two states of {self.states}")
@@ -74,6 +76,11 @@ class Chain:
 
     def starting(self, start: Mapping[str, float]) -> Chain:
         return replace(self, start=dict(start))
+
+    def free_name(self, name: str) -> str:
+        """`name`, or `name` with a number, such that no state has it yet."""
+        names = [name, *(f"{name}_{i}" for i in range(2, len(self.states) + 3))]
+        return next(n for n in names if n not in self.states)
 
     def emitting_pairs(self) -> list[tuple[str, str]]:
         """(ground, excited) of every transition that releases photons."""

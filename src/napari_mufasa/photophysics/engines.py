@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.photophysics.chain import Chain, Transition
+from napari_mufasa.streams import Streams
 
 Engine = Literal["fast", "exact"]
 SEPARATION = 1e-2  # largest k01/k10 at which the bright state may be merged
@@ -32,7 +33,7 @@ class Exposure:
 
 
 def simulate_photons(
-    chain: Chain, drive: NDArray[np.float64], exposure: Exposure, rng: np.random.Generator, engine: Engine
+    chain: Chain, drive: NDArray[np.float64], exposure: Exposure, streams: Streams, engine: Engine
 ) -> NDArray[np.int64]:
     """Photons emitted by each molecule in each frame.
 
@@ -41,7 +42,7 @@ def simulate_photons(
     chain : the molecule's states and rates at relative light 1
     drive : (molecule,) relative light at each molecule
     exposure : frame timing and relative light per frame
-    rng : the stream to draw from
+    streams : every molecule draws from a stream of its own
     engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, where k01/k10 > 10⁻² or the
         chain has no single emitting transition
 
@@ -58,9 +59,9 @@ def simulate_photons(
             warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
         else:
             bright_chain, photon_rates = merged
-            expected, _ = _run(bright_chain, photon_rates, drive, exposure, rng)
-            return rng.poisson(expected).astype(np.int64)
-    _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, rng)
+            expected, _ = _run(bright_chain, photon_rates, drive, exposure, streams)
+            return _poisson(expected, streams)
+    _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, streams)
     return photons
 
 
@@ -102,40 +103,52 @@ def _run(
     photon_rates: NDArray[np.float64],
     drive: NDArray[np.float64],
     exposure: Exposure,
-    rng: np.random.Generator,
+    streams: Streams,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Expected photons from the time spent in emitting states, and photons counted at jumps."""
-    start = rng.choice(len(chain.states), size=len(drive), p=chain.start_vector()).astype(np.int64)
     expected: NDArray[np.float64]
     photons: NDArray[np.int64]
-    expected, photons = _kernel()(
+    run, _ = _kernels()
+    expected, photons = run(
         chain.matrix(driven=True),
         chain.matrix(driven=False),
         chain.photon_matrix(),
         photon_rates,
-        start,
+        np.cumsum(chain.start_vector()),
         np.ascontiguousarray(drive, dtype=np.float64),
         np.ascontiguousarray(exposure.light, dtype=np.float64),
         float(exposure.exposure_s),
         float(exposure.dead_time_s),
-        rng,
+        streams.key("photophysics"),
     )
     return expected, photons
 
 
+def _poisson(expected: NDArray[np.float64], streams: Streams) -> NDArray[np.int64]:
+    _, draw = _kernels()
+    photons: NDArray[np.int64] = draw(expected, streams.key("emission"))
+    return photons
+
+
 @cache
-def _kernel() -> Any:
-    """The jump kernel, compiled on first use."""
+def _kernels() -> tuple[Any, Any]:
+    """The jump kernel and the photons of the fast engine, compiled on first use."""
     import numba
 
+    from napari_mufasa.variates import exponential, poisson, stream, uniform
+
     @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-    def kernel(driven, undriven, photon_probability, photon_rate, start, drive, light, exposure_s, dead_s, rng):  # type: ignore[no-untyped-def]
+    def run(driven, undriven, photon_probability, photon_rate, start, drive, light, exposure_s, dead_s, key):  # type: ignore[no-untyped-def]
         n_states = driven.shape[0]
         n_molecules, n_frames = drive.size, light.size
         expected = np.zeros((n_molecules, n_frames))
         photons = np.zeros((n_molecules, n_frames), dtype=np.int64)
         for m in range(n_molecules):
-            state = start[m]
+            random = stream(key, m, 0)
+            u, random = uniform(random)
+            state = 0
+            while state < n_states - 1 and u >= start[state]:
+                state += 1
             absorbed = False
             for f in range(n_frames):
                 if absorbed:
@@ -149,14 +162,16 @@ def _kernel() -> Any:
                         total = 0.0
                         for s in range(n_states):
                             total += relative * driven[state, s] + undriven[state, s]
-                        wait = rng.standard_exponential() / total if total > 0.0 else np.inf
+                        wait, random = exponential(random)
+                        wait = wait / total if total > 0.0 else np.inf
                         stay = min(wait, left)
                         if segment == 0:
                             expected[m, f] += photon_rate[state] * relative * stay
                         left -= stay
                         if wait > stay or total == 0.0:
                             break
-                        pick = rng.random() * total
+                        pick, random = uniform(random)
+                        pick *= total
                         target = state
                         for s in range(n_states):
                             rate = relative * driven[state, s] + undriven[state, s]
@@ -166,8 +181,9 @@ def _kernel() -> Any:
                                 if pick < 0.0:
                                     break
                         chance = photon_probability[state, target]
-                        if segment == 0 and chance > 0.0 and (chance >= 1.0 or rng.random() < chance):
-                            photons[m, f] += 1
+                        if segment == 0 and chance > 0.0:
+                            u, random = uniform(random)
+                            photons[m, f] += u < chance
                         state = target
                         leaving = 0.0
                         for s in range(n_states):
@@ -179,4 +195,12 @@ def _kernel() -> Any:
                         break
         return expected, photons
 
-    return kernel
+    @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+    def draw(expected, key):  # type: ignore[no-untyped-def]
+        photons = np.empty(expected.shape, dtype=np.int64)
+        for m in range(expected.shape[0]):
+            for f in range(expected.shape[1]):
+                photons[m, f], _ = poisson(expected[m, f], stream(key, m, f))
+        return photons
+
+    return run, draw
