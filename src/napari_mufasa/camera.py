@@ -81,7 +81,8 @@ def output_electrons(movie: NDArray[Any], camera: Camera) -> Stack:
     _check_maps(movie, camera)
     half = np.float32(0.5) - baseline_map_adu(camera)
     mean_e = np.float32(camera.read_noise_mean_e)
-    return (np.asarray(movie, dtype=np.float32) + half) * np.float32(camera.electrons_per_adu) - mean_e
+    electrons = (np.asarray(movie, dtype=np.float32) + half) * np.float32(camera.electrons_per_adu) - mean_e
+    return np.asarray(electrons, dtype=np.float32)
 
 
 def photoelectrons(movie: NDArray[Any], camera: Camera) -> Stack:
@@ -120,7 +121,7 @@ def baseline_map_adu(camera: Camera) -> Any:
 
 def cmos_response(electrons: NDArray[np.floating], camera: Camera) -> Stack:
     """g_p: photoelectrons → output electrons, piecewise linear, continued with its last slope."""
-    return (_interpolate(electrons, *_knots(camera)) * _gain_map(camera)).astype(np.float32)
+    return np.asarray(_interpolate(electrons, *_knots(camera)) * _gain_map(camera), dtype=np.float32)
 
 
 def cmos_response_inverse(electrons: NDArray[np.floating], camera: Camera) -> Stack:
@@ -157,7 +158,7 @@ def _kernels() -> tuple[Any, Any]:
 
     from napari_mufasa.variates import gamma, normal, poisson, stream
 
-    @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+    @numba.njit(cache=True, nogil=True, error_model="numpy")
     def detect(expected, excess, frames, key):  # type: ignore[no-untyped-def]
         """Photoelectrons times their multiplication noise of mean 1: an excess noise factor F² = 1 + 1/k makes
         n electrons Gamma(shape k·n, scale 1/k); no electron in, none out."""
@@ -176,7 +177,7 @@ def _kernels() -> tuple[Any, Any]:
                         result[f, y, x] = n
         return result
 
-    @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+    @numba.njit(cache=True, nogil=True, error_model="numpy")
     def read_out(electrons, sigma, mean, frames, key):  # type: ignore[no-untyped-def]
         n_frames, height, width = electrons.shape
         for f in range(n_frames):

@@ -10,6 +10,7 @@ import json
 import logging
 import os
 import shutil
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +46,8 @@ def replacing(path: PathLike) -> Iterator[Path]:
     target = Path(path)
     if not target.parent.is_dir():
         raise MufasaError(f"no folder {target.parent}: make it first or choose another output path")
+    if target.is_dir() and not _is_zarr_folder(target):
+        raise MufasaError(f"{target} is a folder: choose a file name for the output")
     temporary = target.with_name(f".{os.getpid()}-{target.name}")
     try:
         yield temporary
@@ -56,6 +59,10 @@ def replacing(path: PathLike) -> Iterator[Path]:
             shutil.rmtree(temporary)
         else:
             temporary.unlink(missing_ok=True)
+
+
+def _is_zarr_folder(path: Path) -> bool:
+    return any((path / name).is_file() for name in ("zarr.json", ".zarray", ".zgroup"))
 
 
 def write_text(path: PathLike, text: str) -> None:
@@ -131,16 +138,29 @@ def write_movie(
 
     The whole model and the seed travel in the metadata and come back with `read_movie`.
     """
-    metadata = {"model": model.to_dict() if model else None, "seed": seed}
+    metadata = {"model": model.to_dict() if model else None, "seed": None if seed is None else int(seed)}
     if pixel_size_nm is None and model is not None:
         pixel_size_nm = model.acquisition.pixel_size_nm
     if not (is_zarr(path) or str(path).lower().endswith((".tif", ".tiff"))):
         raise MufasaError(f"cannot write a movie to {path}: use .ome.tif, .tif or .zarr")
     with replacing(path) as temporary:
+        blocks = _counted(frames, shape)
         if is_zarr(path):
-            _write_zarr(temporary, frames, shape, dtype, metadata)
+            _write_zarr(temporary, blocks, shape, dtype, metadata)
         else:
-            _write_tiff(temporary, frames, shape, dtype, metadata, pixel_size_nm)
+            _write_tiff(temporary, blocks, shape, dtype, metadata, pixel_size_nm)
+
+
+def _counted(blocks: Iterable[NDArray[Any]], shape: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
+    """The blocks as they come; raises when they are not the frames that were announced."""
+    n = 0
+    for block in blocks:
+        n += len(block)
+        if block.ndim != 3 or tuple(block.shape[1:]) != tuple(shape[1:]) or n > shape[0]:
+            raise MufasaError(f"a block of shape {block.shape} (frames up to {n}) does not fit a movie of {shape}")
+        yield block
+    if n != shape[0]:
+        raise MufasaError(f"{n} frames came for a movie of {shape[0]}: nothing was written")
 
 
 def _write_zarr(
@@ -179,7 +199,8 @@ def _open_zarr(path: Path) -> tuple[Any, dict[str, Any]]:
     import zarr
 
     array = zarr.open_array(str(path), mode="r")
-    return da.from_zarr(array), dict(array.attrs).get(METADATA_KEY) or {}  # type: ignore[return-value]
+    metadata: Any = dict(array.attrs).get(METADATA_KEY)
+    return da.from_zarr(array), metadata or {}  # type: ignore[no-untyped-call]
 
 
 def _open_tiff(path: Path) -> tuple[Any, dict[str, Any]]:
@@ -196,16 +217,18 @@ def _open_tiff(path: Path) -> tuple[Any, dict[str, Any]]:
         series = file.series[0]
         metadata = _tiff_metadata(file)
         shape, dtype = series.shape, series.dtype
+        if "S" in series.axes:
+            raise MufasaError(f"{path} is a colour image {shape}: needs one grey stack (frame, y, x)")
         last = file.pages[n_pages - 1]
-        if last.dataoffsets and last.dataoffsets[-1] + last.databytecounts[-1] > path.stat().st_size:  # type: ignore[union-attr]
+        if last.dataoffsets and last.dataoffsets[-1] + last.databytecounts[-1] > path.stat().st_size:
             raise MufasaError(f"{path} is truncated: copy it anew")
     if len(shape) > 3:  # drop axes of length one (channel, z)
         shape = tuple(n for n in shape if n > 1)
     store = tifffile.imread(path, aszarr=True)
     array = zarr.open(store, mode="r")
     if isinstance(array, zarr.Group):
-        array = array["0"]  # type: ignore[assignment]
-    data = da.from_zarr(array)
+        array = array["0"]
+    data = da.from_zarr(array)  # type: ignore[no-untyped-call]
     return (data if data.shape == shape else data.reshape(shape)).astype(dtype), metadata
 
 
@@ -242,8 +265,14 @@ def _tiff_metadata(file: Any) -> dict[str, Any]:
 def _restore(metadata: dict[str, Any]) -> tuple[Model | None, int | None]:
     from napari_mufasa.model import Model
 
-    model = metadata.get("model")
-    return (Model.from_dict(model) if model else None), metadata.get("seed")
+    model, seed = metadata.get("model"), metadata.get("seed")
+    if not model:
+        return None, seed
+    try:
+        return Model.from_dict(model), seed
+    except MufasaError as error:  # the movie is still good, perhaps an effect's package is not installed
+        warnings.warn(f"the model stored with the movie cannot be restored ({error})", stacklevel=3)
+        return None, seed
 
 
 def _plain(value: Any) -> Any:

@@ -319,7 +319,9 @@ def _describe(root: type[BaseModel], loc: tuple[int | str, ...]) -> str:
     if field is None:
         return ""
     signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
-    limits = [f"{sign} {getattr(m, name):g}" for m in field.metadata for name, sign in signs.items() if hasattr(m, name)]
+    limits = [
+        f"{sign} {getattr(m, name):g}" for m in field.metadata for name, sign in signs.items() if hasattr(m, name)
+    ]
     extra = field.json_schema_extra
     unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
     allowed = f"allowed: {', '.join(limits)}" if limits else ""

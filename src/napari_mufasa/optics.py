@@ -59,9 +59,7 @@ def image_on_grid(
     index = np.floor((np.asarray(positions_px, float) + 0.5 + margin) * factor).astype(int)
     inside = np.all((index >= 0) & (index < fine_shape), axis=1)
     np.add.at(fine, tuple(index[inside].T), np.asarray(photons, float)[inside])
-    # Binning already spreads each emitter over one fine pixel (variance 1/12).
-    sigma_fine = [np.sqrt(max((s * factor) ** 2 - 1 / 12, 0.0)) for s in sigma_px]
-    blurred = gaussian_filter(fine, sigma_fine, mode="constant", truncate=REACH_SIGMA + 1)
+    blurred = gaussian_filter(fine, [s * factor for s in sigma_px], mode="constant", truncate=REACH_SIGMA + 1)
     height, width = (n + 2 * margin for n in shape_px)
     summed = blurred.reshape(height, factor, width, factor).sum(axis=(1, 3))
     result: NDArray[np.float64] = summed[margin : height - margin, margin : width - margin]
@@ -74,7 +72,7 @@ def _kernel() -> Any:
 
     import numba
 
-    @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+    @numba.njit(cache=True, nogil=True)
     def kernel(images, photons, positions, sigma):  # type: ignore[no-untyped-def]
         n_frames, height, width = images.shape
         n_molecules = photons.shape[1]

@@ -29,7 +29,7 @@ def scatter(n: int, shape_px: tuple[int, int], min_distance_px: float, rng: np.r
     """
     extent = np.asarray(shape_px, dtype=float)
     if min_distance_px <= 0:
-        return rng.random((n, 2)) * extent - 0.5
+        return np.asarray(rng.random((n, 2)) * extent - 0.5)
     cell = min_distance_px / np.sqrt(2)  # a cell this small holds one molecule at most
     taken: dict[tuple[int, int], NDArray[np.float64]] = {}
     misses = 0
@@ -69,20 +69,22 @@ def read_positions(path: str | os.PathLike[str], pixel_size_nm: float) -> NDArra
     import pandas as pd
 
     try:
-        table = pd.read_csv(path)
-        if all(_is_number(name) for name in table.columns):
-            table = pd.read_csv(path, header=None)
-            table = table.rename(columns={table.columns[0]: "x_nm", table.columns[1]: "y_nm"})
+        table = pd.read_csv(path, header=None, dtype=str, skipinitialspace=True, comment="#")
+        if len(table.columns) > 1 and all(_is_number(cell) for cell in table.iloc[0]):
+            table = table.rename(columns={0: "x_nm", 1: "y_nm"})
+        else:
+            table = table.rename(columns={i: str(name).strip() for i, name in table.iloc[0].items()}).iloc[1:]
     except FileNotFoundError:
         raise MufasaError(f"no file {path}: give a CSV of positions") from None
     except (ValueError, IndexError, OSError) as error:
         raise MufasaError(f"{path} is not a CSV of positions ({error})") from None
     for unit, scale, origin in (("px", 1.0, 0.0), ("nm", pixel_size_nm, 0.5)):
         if {f"y_{unit}", f"x_{unit}"} <= set(table.columns):
-            positions = table[[f"y_{unit}", f"x_{unit}"]].to_numpy(dtype=float) / scale - origin
-            if not np.isfinite(positions).all():
-                raise MufasaError(f"{path} has positions that are not numbers: remove those rows")
-            return np.asarray(positions, dtype=np.float64)
+            numbers = table[[f"y_{unit}", f"x_{unit}"]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+            if not np.isfinite(numbers).all():
+                row = int(np.nonzero(~np.isfinite(numbers).all(axis=1))[0][0]) + 1
+                raise MufasaError(f"{path} has a position that is not a number (molecule {row}): remove that row")
+            return np.asarray(numbers / scale - origin, dtype=np.float64)
     raise MufasaError(f"{path} has columns {list(table.columns)}: needs y_px, x_px or y_nm, x_nm")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +88,7 @@ class Acquisition:
         size = self.block_frames()
         slices = [slice(f, min(f + size, self.n_frames)) for f in range(0, self.n_frames, size)]
         with ThreadPoolExecutor(workers) as pool:
-            pending = []
+            pending: list[tuple[slice, Future[Recording]]] = []
             upcoming = iter(slices)
             for _ in slices:
                 while len(pending) < workers + 1 and (span := next(upcoming, None)) is not None:
@@ -152,7 +152,9 @@ def simulate_emission(
 
 def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint16]:
     """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects."""
-    acquisition = model.acquisition.model_copy(update={"n_frames": n_frames})
+    if isinstance(n_frames, bool) or not isinstance(n_frames, (int, np.integer)) or n_frames < 1:
+        raise MufasaError(f"n_frames = {n_frames!r}: give a whole number ≥ 1")
+    acquisition = model.acquisition.model_copy(update={"n_frames": int(n_frames)})
     optics = model.optics.model_copy(update={"background_photons_per_px": 0.0})
     dark_model = model.model_copy(update={"acquisition": acquisition, "optics": optics})
     # A name of its own keeps the dark frames' chance apart from the movie's, the sensor's patterns the same.

@@ -231,7 +231,8 @@ class DetectorSaturation(Effect):
         def bend(electrons: Stack, frames: Frames) -> Stack:
             if self.form == "hard":
                 return np.minimum(electrons, full)
-            return electrons / (1 + np.maximum(electrons, 0) / full)
+            bent: Stack = (electrons / (1 + np.maximum(electrons, 0) / full)).astype(np.float32)
+            return bent
 
         scene.sensor.amplified.append(bend)
 

@@ -18,15 +18,16 @@ def course(form: str, progress: NDArray[np.float64], rng: np.random.Generator) -
     if form == "linear":
         return progress
     if form == "saturating":
-        return (1 - np.exp(-4 * progress)) / (1 - np.exp(-4))
-    if form == "accelerating":
-        return progress**2
-    if form == "step":
-        result: NDArray[np.float64] = 1 / (1 + np.exp(-(progress - 0.5) * 60))
-        return result
-    walk = np.cumsum(rng.standard_normal(len(progress)))
-    walk -= walk[0]
-    return walk / max(np.abs(walk).max(), 1e-12)
+        path: NDArray[np.float64] = (1 - np.exp(-4 * progress)) / (1 - np.exp(-4))
+    elif form == "accelerating":
+        path = progress**2
+    elif form == "step":
+        path = 1 / (1 + np.exp(-(progress - 0.5) * 60))
+    else:
+        walk = np.cumsum(rng.standard_normal(len(progress)))
+        walk -= walk[0]
+        path = walk / max(np.abs(walk).max(), 1e-12)
+    return path
 
 
 class IlluminationProfile(Effect):
@@ -58,10 +59,12 @@ class IlluminationProfile(Effect):
             v, u = scene.centred(y, x)
             if self.form == "linear":
                 along = u * np.cos(angle) + v * np.sin(angle)
-                return np.clip(1 - self.edge_dimming * (0.5 + along / (2 * np.sqrt(2))) * np.sqrt(2), 0.0, None)
+                slope: Array = self.edge_dimming * (0.5 + along / (2 * np.sqrt(2))) * np.sqrt(2)
+                return np.maximum(1 - slope, 0.0)
             cy, cx = (0.5 * np.sin(angle), 0.5 * np.cos(angle)) if self.form == "off_centre" else (0.0, 0.0)
             decay = np.log(1 - self.edge_dimming)
-            return np.exp(decay * ((v - cy) ** 2 + (u - cx) ** 2) / (1 + cy**2 + cx**2))
+            left: Array = np.exp(decay * ((v - cy) ** 2 + (u - cx) ** 2) / (1 + cy**2 + cx**2))
+            return left
 
         # The brightness believed is that of the field's mean, so only the shape is new.
         mean = float(np.mean(profile(*scene.pixel_coordinates())))

@@ -56,8 +56,10 @@ class BackgroundGradient(Effect):
         def shape(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
             if self.form == "linear":
-                return self.relative_height * (u * np.cos(angle) + v * np.sin(angle)) / 2
-            return self.relative_height * np.exp(-((v - centre[0]) ** 2 + (u - centre[1]) ** 2) / (2 * 0.45**2))
+                rise: Array = (u * np.cos(angle) + v * np.sin(angle)) / 2
+            else:
+                rise = np.exp(-((v - centre[0]) ** 2 + (u - centre[1]) ** 2) / (2 * 0.45**2))
+            return self.relative_height * rise
 
         # The background believed is that of the field's mean.
         mean = float(np.mean(np.maximum(1 + shape(*scene.pixel_coordinates()), 0.0)))

@@ -20,7 +20,7 @@ from napari_mufasa.photophysics.chain import Chain, Transition
 from napari_mufasa.streams import Streams
 
 Engine = Literal["fast", "exact"]
-SEPARATION = 1e-2  # largest k01/k10 at which the bright state may be merged
+SEPARATION = 1e-2  # largest k01/k10, and lifetime per exposure, at which the bright state may be merged
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ def simulate_photons(
     drive : (molecule,) relative light at each molecule
     exposure : frame timing and relative light per frame
     streams : every molecule draws from a stream of its own
-    engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, where k01/k10 > 10⁻² or the
-        chain has no single emitting transition
+    engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, where k01/k10 > 10⁻², a frame
+        is shorter than 100 lifetimes, or the chain has no single emitting transition
 
     Returns
     -------
@@ -54,7 +54,7 @@ def simulate_photons(
         raise MufasaError(f"engine {engine!r} is unknown: choose 'fast' or 'exact'")
     if engine == "fast":
         brightest = float(np.max(drive, initial=0.0) * np.max(exposure.light, initial=0.0))
-        merged = merge_bright_states(chain, brightest)
+        merged = merge_bright_states(chain, brightest, exposure.exposure_s)
         if isinstance(merged, str):
             warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
         else:
@@ -65,7 +65,9 @@ def simulate_photons(
     return photons
 
 
-def merge_bright_states(chain: Chain, brightest_light: float) -> tuple[Chain, NDArray[np.float64]] | str:
+def merge_bright_states(
+    chain: Chain, brightest_light: float, exposure_s: float = np.inf
+) -> tuple[Chain, NDArray[np.float64]] | str:
     """The chain with every {S0, S1} pair merged and each state's photon rate at full light; or why not.
 
     A merged state leaves with rate k01·p, p = k1x/Σk1, and emits with rate k01·k10/(k01+Σk1) (SPEC.md §2).
@@ -82,6 +84,8 @@ def merge_bright_states(chain: Chain, brightest_light: float) -> tuple[Chain, ND
         leave = sum(t.rate_per_s for t in out)
         if up * brightest_light > SEPARATION * leave:
             return f"k01/k10 = {up * brightest_light / leave:.2g} exceeds {SEPARATION}"
+        if exposure_s * leave * SEPARATION < 1:  # photons come late by a lifetime: too late for so short a frame
+            return f"a frame of {exposure_s:.2g} s holds only {exposure_s * leave:.2g} lifetimes"
         into = [t for t in chain.transitions if t.target == excited]
         if any(t.driven for t in out) or any(t.source != ground or not t.driven for t in into):
             return "an emitting state is entered or left otherwise than by excitation and spontaneous decay"
@@ -137,7 +141,7 @@ def _kernels() -> tuple[Any, Any]:
 
     from napari_mufasa.variates import exponential, poisson, stream, uniform
 
-    @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+    @numba.njit(cache=True, nogil=True)
     def run(driven, undriven, photon_probability, photon_rate, start, drive, light, exposure_s, dead_s, key):  # type: ignore[no-untyped-def]
         n_states = driven.shape[0]
         n_molecules, n_frames = drive.size, light.size
@@ -195,7 +199,7 @@ def _kernels() -> tuple[Any, Any]:
                         break
         return expected, photons
 
-    @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+    @numba.njit(cache=True, nogil=True)
     def draw(expected, key):  # type: ignore[no-untyped-def]
         photons = np.empty(expected.shape, dtype=np.int64)
         for m in range(expected.shape[0]):
