@@ -36,7 +36,7 @@ def levels_for(shape: tuple[int, ...], wanted: int) -> int:
     return level
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def analyse(a: Array, h: int, flat: bool) -> tuple[Array, Array]:
     """One level (half block ``h``): scaling coefficients (rows, cols) and detail bands (1 or 3, rows, cols)."""
     cols = a.shape[1] - h
@@ -61,7 +61,7 @@ def analyse(a: Array, h: int, flat: bool) -> tuple[Array, Array]:
     return s, d
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def children_sum(a: Array, h: int, signs: Array, flat: bool) -> Array:
     """Sum over the children of every block that carry a positive sign in ``signs``."""
     cols = a.shape[1] - h
@@ -83,7 +83,7 @@ def children_sum(a: Array, h: int, signs: Array, flat: bool) -> Array:
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def covered(b: Array, h: int, flat: bool) -> Array:
     """``b`` over the number of blocks that cover each place and of children per block: the synthesis's adjoint weight."""
     rows, cols = b.shape
@@ -97,7 +97,7 @@ def covered(b: Array, h: int, flat: bool) -> Array:
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, nogil=True)
 def spread(band: Array, h: int, signs: Array, flat: bool, out: Array) -> None:
     """Add ``band`` with its children's signs to ``out`` (the level below), not yet divided by the coverage."""
     rows, cols = band.shape
@@ -126,35 +126,60 @@ def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape
     return covered(out, h, flat)  # type: ignore[no-any-return]
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
-def beside(a: Array, distance: int, flat: bool, square: bool) -> Array:
-    """Mean over the (two or eight) blocks ``distance`` away, of the values or of their squares; 0 where there are none.
+@njit(cache=True, fastmath=True, nogil=True)
+def _add_shifted(total: Array, a: Array, dr: int, dc: int) -> None:
+    rows, cols = a.shape
+    first, last = max(0, -dc), min(cols, cols - dc)
+    for r in range(max(0, -dr), min(rows, rows - dr)):
+        for c in range(first, last):
+            total[r, c] += a[r + dr, c + dc]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def mean_beside(a: Array, distance: int, flat: bool) -> Array:
+    """Mean over the (two or eight) blocks ``distance`` away; 0 where there are none.
 
     With ``distance`` = the block length these neighbours share no pixel with the block itself, which is what lets
     functions of them enter the risk estimate as constants.
     """
     rows, cols = a.shape
-    out = np.zeros((rows, cols), a.dtype)
-    number = np.zeros((rows, cols), a.dtype)
-    for step_r in range(-1, 2):
-        if flat and step_r != 0:
-            continue
-        for step_c in range(-1, 2):
-            if step_r == 0 and step_c == 0:
-                continue
-            dr, dc = step_r * distance, step_c * distance
-            first, last = max(0, -dc), min(cols, cols - dc)
-            for r in range(max(0, -dr), min(rows, rows - dr)):
-                if square:
-                    for c in range(first, last):
-                        out[r, c] += a[r + dr, c + dc] * a[r + dr, c + dc]
-                        number[r, c] += 1.0
-                else:
-                    for c in range(first, last):
-                        out[r, c] += a[r + dr, c + dc]
-                        number[r, c] += 1.0
+    # The 3 x 3 sum is separable: along the row, then across rows; the block itself is taken off at the end.
+    along = a.copy()
+    _add_shifted(along, a, 0, distance)
+    _add_shifted(along, a, 0, -distance)
+    total = along
+    if not flat:
+        total = along.copy()
+        _add_shifted(total, along, distance, 0)
+        _add_shifted(total, along, -distance, 0)
     for r in range(rows):
+        n_r = 1
+        if not flat:
+            n_r += (1 if r >= distance else 0) + (1 if r < rows - distance else 0)
         for c in range(cols):
-            if number[r, c] > 0:
-                out[r, c] /= number[r, c]
+            n_c = 1 + (1 if c >= distance else 0) + (1 if c < cols - distance else 0)
+            number = n_r * n_c - 1
+            total[r, c] = (total[r, c] - a[r, c]) / max(number, 1)
+    return total
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _squares(d: Array, scale: float) -> Array:
+    out = np.zeros(d.shape[1:], d.dtype)
+    factor = np.float32(scale)
+    for o in range(d.shape[0]):
+        for r in range(out.shape[0]):
+            for c in range(out.shape[1]):
+                out[r, c] += factor * d[o, r, c] * d[o, r, c]
     return out
+
+
+def energy_beside(d: Array, distance: int, flat: bool) -> Array:
+    """Mean square of the details (bands, rows, cols) of the blocks beside each block."""
+    energy: Array = np.maximum(mean_beside(_squares(d, 1.0 / d.shape[0]), distance, flat), np.float32(0.0))
+    return energy
+
+
+def add_energy(energy: Array, d: Array, scale: float) -> None:
+    """Add ``scale`` times the sum of squares of the details at the block itself."""
+    energy += _squares(d, scale)

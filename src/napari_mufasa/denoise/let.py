@@ -3,8 +3,9 @@
 Let y = z + b with E[z] = x, variance alpha * x, and b Gaussian of variance sigma^2. For any function F of the data the
 mean of x_i F_i(y) has an unbiased estimate from y alone: evaluate F where pixel i holds ``step`` less, weight it with
 y_i, and take the derivative off for the Gaussian part. In the unnormalised Haar transform a pixel enters a detail
-coefficient w with weight +1 or -1 and its block sum s with weight +1, so "pixel i holds ``step`` less" reads
-(w - step, s - step) or (w + step, s - step): two evaluations per coefficient give the term of the whole block, exactly.
+coefficient with weight +1 or -1 and its block sum with weight +1, so "pixel i holds ``step`` less" reads
+"the details of its block change by their signs, and the block sum by step": one evaluation for each of the four
+children of a block gives the term of the whole block, exactly, whatever the three details do to each other.
 
 Scaled Poisson counts use ``step = alpha``. The electron-multiplying register turns n electrons into Gamma(n, 1), a
 compound Poisson value with alpha = 2, for which E[x F(y)] = E[y (1 - d/dy)^2 F(y)] exactly. A second-order difference
@@ -26,15 +27,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-#: Width of the threshold bump, in noise variances, and of the neighbour classes.
-BUMP = 6.0
-CLASS = 2.0
+#: Width of the threshold bump in noise variances, per orientation.
+BUMP = 4.0
+#: Widths of the neighbour classes: an empty surrounding, and one that is not quite empty.
+CLASS_NARROW, CLASS_WIDE = 1.0, 4.0
 #: Share of a coefficient's own block in its noise level; the rest comes from the blocks beside it.
 OWN = 0.5
 #: Step of the difference that stands for the derivatives in the electron-multiplied case, in units of the gain.
 EM_STEP = 0.5
-SPATIAL = 4
+#: Candidates per level: {coefficient, thresholded} x {everywhere, empty surrounding, nearly empty surrounding}.
+SPATIAL = 6
+#: Candidates per level and guide: {prediction, thresholded difference from it} x {everywhere, empty surrounding}.
 PER_GUIDE = 4
+#: Directions in weight space whose share of the risk is below this many noise variances are faded out.
+DOUBT = 2.0
+ZERO, ONE, EIGHTH = np.float32(0.0), np.float32(1.0), np.float32(0.125)
+NARROW, WIDE = np.float32(1.0 / CLASS_NARROW), np.float32(1.0 / CLASS_WIDE)
 
 
 @dataclass(frozen=True)
@@ -81,181 +89,254 @@ class System:
         """Estimated mean squared error per pixel of the data themselves."""
         return self.noise / self.n_pixels
 
-    def solve(self, ridge: float = 1e-5) -> Array:
-        """Weights of least estimated risk; the ridge only settles directions that the data do not determine."""
+    def solve(self, doubt: float = DOUBT) -> Array:
+        """Weights of least estimated risk, faded where the risk's own noise decides.
+
+        In coordinates in which the Gram matrix is the identity, each coordinate carries noise of about the noise
+        energy of one pixel. A coordinate whose square is not ``doubt`` times above that is fitted to chance: it is
+        shrunk by the positive part of 1 - doubt * noise / square. ``doubt=0`` is plain least squares.
+        """
         scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-30))
-        normal = self.gram / np.outer(scale, scale) + ridge * np.eye(scale.size)
-        weights: Array = np.linalg.solve(normal, self.cross / scale) / scale
+        values, vectors = np.linalg.eigh(self.gram / np.outer(scale, scale))
+        # Single precision carries about five digits into the Gram matrix; smaller directions are rounding.
+        kept = values > 1e-5 * values[-1]
+        values, vectors = values[kept], vectors[:, kept]
+        along = vectors.T @ (self.cross / scale) / np.sqrt(values)
+        doubtful = doubt * max(self.noise_variance(), 0.0)
+        along *= np.maximum(0.0, 1.0 - doubtful / np.maximum(along**2, 1e-30))
+        weights: Array = vectors @ (along / np.sqrt(values)) / scale
         return weights
 
 
-@njit(cache=True, inline="always", fastmath=True)  # type: ignore[untyped-decorator]
-def _threshold(u: float, scale: float, slope: float) -> tuple[float, float, float]:
-    """u * bump(u^2 / scale), its derivative in u, and in the block sum (``slope`` = d scale / d block sum)."""
-    x = u * u / scale
-    rest = max(0.0, 1.0 - 0.25 * x)
-    bump_slope = -rest * rest * rest
-    value = u * rest * rest * rest * rest
-    return value, rest * rest * rest * rest + 2.0 * x * bump_slope, -u * bump_slope * x / scale * slope
-
-
-@njit(cache=True, inline="always", fastmath=True)  # type: ignore[untyped-decorator]
-def _class_weight(energy: float) -> float:
+@njit(cache=True, inline="always", fastmath=True)
+def _class_weight(energy: Any) -> Any:
     """Smoothly 1 where the neighbourhood is empty, 0 where it is full: a cheap stand-in for exp(-energy)."""
-    rest = max(0.0, 1.0 - 0.125 * energy)
+    rest = max(ZERO, ONE - EIGHTH * energy)
     rest *= rest
     rest *= rest
     return rest * rest
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
-def candidates(
-    w: Array, s: Array, s_beside: Array, energy: Array, variance: Array, guides: Array, guide_noise: Array, alpha: float
-) -> Array:
-    """Candidate values of one band, (K, rows, cols): thresholds of the coefficient, and of each guide's prediction."""
-    rows, cols = w.shape
-    n_guides = guides.shape[0]
-    out = np.empty((SPATIAL + PER_GUIDE * n_guides, rows, cols), w.dtype)
+@njit(cache=True, fastmath=True, nogil=True)
+def surroundings(s_beside: Array, energy: Array, variance: Array, alpha: float) -> tuple[Array, Array, Array]:
+    """Noise level without the block's own share, and the two class weights; none depends on the block's own pixels."""
+    rows, cols = s_beside.shape
+    rest = np.empty((rows, cols), s_beside.dtype)
+    narrow = np.empty((rows, cols), s_beside.dtype)
+    wide = np.empty((rows, cols), s_beside.dtype)
+    own = np.float32(OWN * alpha)
+    other = np.float32((1.0 - OWN) * alpha)
+    floor = np.float32(0.25 * alpha * alpha + 1e-9)
     for r in range(rows):
         for c in range(cols):
-            own = s[r, c]
-            base = variance[r, c] + alpha * ((1.0 - OWN) * max(s_beside[r, c], 0.0) + 0.25 * alpha) + 1e-9
-            level = base + OWN * alpha * max(own, 0.0)
-            g = _class_weight(energy[r, c] / (CLASS * (base + OWN * alpha * max(s_beside[r, c], 0.0))))
-            value = _threshold(w[r, c], BUMP * level, 0.0)[0]
-            out[0, r, c] = w[r, c]
-            out[1, r, c] = w[r, c] * g
-            out[2, r, c] = value
-            out[3, r, c] = value * g
-            for k in range(n_guides):
-                v = guides[k, r, c]
-                value = _threshold(w[r, c] - v, BUMP * level * (1.0 + guide_noise[k]), 0.0)[0]
-                first = SPATIAL + PER_GUIDE * k
-                out[first, r, c] = v
-                out[first + 1, r, c] = v * g
-                out[first + 2, r, c] = value
-                out[first + 3, r, c] = value * g
+            beside = max(s_beside[r, c], ZERO)
+            base = variance[r, c] + other * beside + floor
+            x = energy[r, c] / (base + own * beside)
+            rest[r, c] = base
+            narrow[r, c] = _class_weight(x * NARROW)
+            wide[r, c] = _class_weight(x * WIDE)
+    return rest, narrow, wide
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def bumps(d: Array, s: Array, rest: Array, guide: Array, own: float, width: float) -> Array:
+    """Share of each block's details (less the guide's) that the threshold keeps as noise-like: 1 at 0, 0 far out."""
+    rows, cols = s.shape
+    out = np.empty((rows, cols), d.dtype)
+    own32 = np.float32(own)
+    scale = np.float32(0.25 / width)
+    for r in range(rows):
+        for c in range(cols):
+            a, b, e = d[0, r, c] - guide[0, r, c], d[1, r, c] - guide[1, r, c], d[2, r, c] - guide[2, r, c]
+            level = rest[r, c] + own32 * max(s[r, c], ZERO)
+            left = max(ZERO, ONE - scale * (a * a + b * b + e * e) / level)
+            left *= left
+            out[r, c] = left * left
     return out
 
 
-@njit(cache=True, inline="always", fastmath=True)  # type: ignore[untyped-decorator]
-def _at(
-    u: float, s: float, more: float, rest: float, alpha: float, wider: float, yp: float, ym: float, vp: float, vm: float
-) -> float:
-    """Risk term of one thresholded coefficient where the pixel in question holds ``more`` photoelectrons more."""
-    block = s + more
-    level = wider * (rest + OWN * alpha * max(block, 0.0))
-    slope = wider * OWN * alpha if block > 0.0 else 0.0
-    f_p, fu_p, fs_p = _threshold(u + more, level, slope)
-    f_m, fu_m, fs_m = _threshold(u - more, level, slope)
-    return yp * f_p - ym * f_m - vp * (fu_p + fs_p) - vm * (fu_m - fs_m)
+@njit(cache=True, fastmath=True, nogil=True)
+def linear_terms(d: Array, y: Array, v: Array, step_mean: float, bands: float) -> Array:
+    """Risk terms of the details themselves, per block; ``y`` and ``v`` (child, rows, cols) as in `threshold_terms`."""
+    rows, cols = d.shape[1:]
+    out = np.empty((rows, cols), d.dtype)
+    for r in range(rows):
+        for c in range(cols):
+            y0, y1, y2, y3 = y[0, r, c], y[1, r, c], y[2, r, c], y[3, r, c]
+            part = d[0, r, c] * (y0 - y1 + y2 - y3) + d[1, r, c] * (y0 + y1 - y2 - y3)
+            part += d[2, r, c] * (y0 - y1 - y2 + y3)
+            noise = step_mean * (y0 + y1 + y2 + y3) + v[0, r, c] + v[1, r, c] + v[2, r, c] + v[3, r, c]
+            out[r, c] = part - bands * noise
+    return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
-def cross_terms(
-    w: Array,
+@njit(cache=True, fastmath=True, nogil=True)
+def threshold_terms(
+    d: Array,
     s: Array,
-    s_beside: Array,
-    energy: Array,
-    variance: Array,
-    guides: Array,
-    guide_noise: Array,
-    alpha: float,
+    rest: Array,
+    guide: Array,
+    own: float,
+    width: float,
+    y: Array,
+    v: Array,
     stencil: tuple[float, float, float, float],
-    y_plus: Array,
-    y_minus: Array,
-    v_plus: Array,
-    v_minus: Array,
+    bands: float,
 ) -> Array:
-    """Unbiased estimates of sum_i x_i F_i for every candidate of one band.
+    """Unbiased estimates, per block, of x times what the thresholded details (less the guide's) add to the image.
 
-    ``y_plus`` and ``y_minus`` hold, per block, the data of its positive and negative pixels weighted with what the
-    coefficient contributes to them in the synthesis; ``v_plus`` and ``v_minus`` the same of the Gaussian variance.
+    ``y[k]`` holds the data of the block's k-th child weighted with what a detail adds to those pixels in the
+    synthesis; ``v[k]`` the same of the Gaussian variance.
     """
-    rows, cols = w.shape
-    n_guides = guides.shape[0]
-    total = np.zeros(SPATIAL + PER_GUIDE * n_guides)
-    step, share_less, share_here, share_more = stencil
+    rows, cols = s.shape
+    out = np.empty((rows, cols), d.dtype)
+    step = stencil[0]
     for r in range(rows):
         for c in range(cols):
-            rest = variance[r, c] + alpha * ((1.0 - OWN) * max(s_beside[r, c], 0.0) + 0.25 * alpha) + 1e-9
-            g = _class_weight(energy[r, c] / (CLASS * (rest + OWN * alpha * max(s_beside[r, c], 0.0))))
-            yp, ym, vp, vm = y_plus[r, c], y_minus[r, c], v_plus[r, c], v_minus[r, c]
-            constant = yp - ym
-            x, own = w[r, c], s[r, c]
-            linear = constant * x - (share_less - share_more) * step * (yp + ym) - (vp + vm)
-            total[0] += linear
-            total[1] += linear * g
-            for k in range(-1, n_guides):
-                v = 0.0
-                wider = BUMP
-                if k >= 0:
-                    v = guides[k, r, c]
-                    wider *= 1.0 + guide_noise[k]
-                u = x - v
-                term = share_less * _at(u, own, -step, rest, alpha, wider, yp, ym, vp, vm)
-                if share_more != 0.0:
-                    term += share_more * _at(u, own, step, rest, alpha, wider, yp, ym, vp, vm)
-                if share_here != 0.0:
-                    term += share_here * _at(u, own, 0.0, rest, alpha, wider, yp, ym, vp, vm)
-                first = SPATIAL + PER_GUIDE * k + 2 if k >= 0 else 2
-                total[first] += term
-                total[first + 1] += term * g
-                if k >= 0:
-                    total[first - 2] += constant * v
-                    total[first - 1] += constant * v * g
-    return total
-
-
-@njit(cache=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
-def combine(
-    w: Array,
-    s: Array,
-    s_beside: Array,
-    energy: Array,
-    variance: Array,
-    guides: Array,
-    guide_noise: Array,
-    alpha: float,
-    weights: Array,
-) -> Array:
-    """The weighted sum of :func:`candidates`, without storing them."""
-    rows, cols = w.shape
-    n_guides = guides.shape[0]
-    out = np.empty((rows, cols), w.dtype)
-    for r in range(rows):
-        for c in range(cols):
-            own = s[r, c]
-            base = variance[r, c] + alpha * ((1.0 - OWN) * max(s_beside[r, c], 0.0) + 0.25 * alpha) + 1e-9
-            level = BUMP * (base + OWN * alpha * max(own, 0.0))
-            g = _class_weight(energy[r, c] / (CLASS * (base + OWN * alpha * max(s_beside[r, c], 0.0))))
-            x = w[r, c]
-            value = (weights[0] + weights[1] * g) * x
-            value += (weights[2] + weights[3] * g) * _threshold(x, level, 0.0)[0]
-            for k in range(n_guides):
-                v = guides[k, r, c]
-                first = SPATIAL + PER_GUIDE * k
-                value += (weights[first] + weights[first + 1] * g) * v
-                value += (weights[first + 2] + weights[first + 3] * g) * _threshold(
-                    x - v, level * (1.0 + guide_noise[k]), 0.0
-                )[0]
-            out[r, c] = value
+            a, b, e = d[0, r, c] - guide[0, r, c], d[1, r, c] - guide[1, r, c], d[2, r, c] - guide[2, r, c]
+            total = 0.0
+            for k in range(4):
+                sign_a = 1.0 - 2.0 * (k & 1)
+                sign_b = 1.0 - (k & 2)
+                sign_e = sign_a * sign_b
+                yk, vk = y[k, r, c], v[k, r, c]
+                if yk == 0.0 and vk == 0.0:
+                    continue
+                for side in range(3):
+                    share = stencil[side + 1]
+                    if share == 0.0:
+                        continue
+                    more = step * (side - 1)
+                    block = s[r, c] + more
+                    level = rest[r, c] + own * max(block, 0.0)
+                    p, q, t = a + sign_a * more, b + sign_b * more, e + sign_e * more
+                    signed = sign_a * p + sign_b * q + sign_e * t
+                    x = 0.25 / width * (p * p + q * q + t * t) / level
+                    left = max(0.0, 1.0 - x)
+                    cube = left * left * left
+                    slope = 0.5 / width * signed / level - (x * own / level if block > 0.0 else 0.0)
+                    value = cube * left * signed
+                    # Along the pixel's direction every detail changes by its sign: their signs' squares sum to the number of bands.
+                    change = cube * left * bands - 4.0 * cube * slope * signed
+                    total += share * (yk * value - vk * change)
+            out[r, c] = total
     return out
 
 
-def _empty_guides(shape: tuple[int, int], dtype: Any) -> Array:
-    return np.zeros((0, *shape), dtype)
+@njit(cache=True, fastmath=True, nogil=True)
+def combine(d: Array, bump: Array, narrow: Array, wide: Array, w: Array) -> None:
+    """Replace the details by the weighted sum of their spatial candidates."""
+    bands, rows, cols = d.shape
+    w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
+    for r in range(rows):
+        for c in range(cols):
+            g, h = narrow[r, c], wide[r, c]
+            factor = (w0 + w1 * g + w2 * h) + bump[r, c] * (w3 + w4 * g + w5 * h)
+            for o in range(bands):
+                d[o, r, c] *= factor
 
 
-def _energy(band: Array, guide_bands: list[Array], guide_noise: Array, length: int, flat: bool) -> Array:
-    """How much signal the neighbourhood shows, in units of the band's variance, from data independent of the block."""
-    energy: Array = haar.beside(band, length, flat, True)
-    if guide_bands:
-        # A guide shows the coefficient itself: its square weighs as much as the whole neighbourhood.
-        energy = 0.5 * energy
-        for guide, noise in zip(guide_bands, guide_noise, strict=True):
-            energy += (0.5 / len(guide_bands) / max(float(noise), 0.05)) * guide * guide
-    return energy
+@njit(cache=True, fastmath=True, nogil=True)
+def combine_guide(out: Array, d: Array, guide: Array, bump: Array, narrow: Array, w: Array) -> None:
+    """Add the weighted candidates of one guide; ``d`` are the details before `combine`."""
+    bands, rows, cols = d.shape
+    w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
+    for r in range(rows):
+        for c in range(cols):
+            g = narrow[r, c]
+            direct = w0 + w1 * g
+            shrunk = bump[r, c] * (w2 + w3 * g)
+            for o in range(bands):
+                v = guide[o, r, c]
+                out[o, r, c] += direct * v + shrunk * (d[o, r, c] - v)
+
+
+def _three_bands(d: Array) -> Array:
+    """Rows only have one detail band; the kernels take three, the missing ones being zero."""
+    return d if d.shape[0] == 3 else np.concatenate([d, np.zeros((2, *d.shape[1:]), d.dtype)])
+
+
+def _children(a: Array, h: int, flat: bool) -> Array:
+    """The four children of every block, (4, rows, cols); rows only have two."""
+    left, right = a[:, :-h], a[:, h:]
+    if flat:
+        zero = np.zeros_like(left)
+        return np.stack([left, right, zero, zero])
+    return np.stack([left[:-h], right[:-h], left[h:], right[h:]])
+
+
+class _Level:
+    """What one level of the transform knows before any weight: details, noise level, classes."""
+
+    def __init__(
+        self, a: Array, variance: Array, lows: list[Array], guide_noise: Array, noise: Noise, h: int, flat: bool
+    ) -> None:
+        self.h, self.flat, self.shape = h, flat, a.shape
+        self.s, details = haar.analyse(a, h, flat)
+        self.d = _three_bands(details)
+        self.width = BUMP * (1.0 if flat else 3.0)
+        self.own = OWN * noise.alpha
+        self.variance = haar.children_sum(variance, h, haar.LOW_1D if flat else haar.LOW_2D, flat)
+        self.lows: list[Array] = []
+        self.guides: list[Array] = []
+        for low in lows:
+            guide_s, bands = haar.analyse(low, h, flat)
+            self.lows.append(guide_s)
+            self.guides.append(_three_bands(bands))
+        energy = haar.energy_beside(details, 2 * h, flat)
+        if self.guides:
+            # A guide shows the coefficient itself: its square weighs as much as the whole neighbourhood.
+            energy *= np.float32(0.5)
+            for guide, relative in zip(self.guides, guide_noise, strict=True):
+                share = 0.5 / len(self.guides) / max(float(relative), 0.05) / details.shape[0]
+                haar.add_energy(energy, guide, share)
+        s_beside = haar.mean_beside(self.s, 2 * h, flat)
+        self.rest, self.narrow, self.wide = surroundings(s_beside, energy, self.variance, noise.alpha)
+        self.zero = np.zeros_like(self.d)
+        self.guide_noise = guide_noise
+
+    def bump(self, guide: int) -> Array:
+        """Threshold of the details (guide -1) or of their difference from a guide."""
+        reference = self.zero if guide < 0 else self.guides[guide]
+        out: Array = bumps(self.d, self.s, self.rest, reference, self.own, self.guide_width(guide))
+        return out
+
+    def guide_width(self, guide: int) -> float:
+        return self.width * (1.0 if guide < 0 else 1.0 + float(self.guide_noise[guide]))
+
+    def candidates(self) -> list[Array]:
+        """Details (3, rows, cols) of every candidate, in the order of the weights."""
+        bump = self.bump(-1)
+        out = [self.d * g for g in (1.0, self.narrow, self.wide)]
+        out += [self.d * (bump * g) for g in (np.float32(1.0), self.narrow, self.wide)]
+        for k, guide in enumerate(self.guides):
+            bump = self.bump(k)
+            out += [guide, guide * self.narrow, (self.d - guide) * bump, (self.d - guide) * (bump * self.narrow)]
+        return [np.asarray(c, self.d.dtype) for c in out]
+
+    def terms(self, y: Array, v: Array, noise: Noise) -> list[float]:
+        """Unbiased estimates of the sum of x times every candidate's image."""
+        step, less, here, more = noise.stencil()
+        bands = 1.0 if self.flat else 3.0
+        linear = linear_terms(self.d, y, v, (less - more) * step, bands)
+        classes = (None, self.narrow, self.wide)
+
+        def sums(per_block: Array, weights: tuple[Array | None, ...]) -> list[float]:
+            return [float(np.sum(per_block if g is None else per_block * g, dtype=np.float64)) for g in weights]
+
+        def thresholded(guide: int) -> Array:
+            reference = self.zero if guide < 0 else self.guides[guide]
+            out: Array = threshold_terms(
+                self.d, self.s, self.rest, reference, self.own, self.guide_width(guide), y, v,
+                (step, less, here, more), bands,
+            )  # fmt: skip
+            return out
+
+        out = sums(linear, classes) + sums(thresholded(-1), classes)
+        for k, guide in enumerate(self.guides):
+            known = linear_terms(guide, y, np.zeros_like(v), 0.0, bands)
+            out += sums(known, classes[:2]) + sums(thresholded(k), classes[:2])
+        return out
 
 
 def expand(
@@ -266,62 +347,37 @@ def expand(
     ``guides`` are images of the same scene whose noise is independent of ``image`` (neighbouring frames);
     ``guide_noise`` their variance relative to the image's.
     """
-    shape = image.shape
-    signs_all = haar.SIGNS_1D if flat else haar.SIGNS_2D
     low = haar.LOW_1D if flat else haar.LOW_2D
-    variance = np.broadcast_to(noise.variance, shape).astype(image.dtype)
+    variance = np.broadcast_to(noise.variance, image.shape).astype(image.dtype)
     a, b, v, v_adjoint, lows = image, image, variance, variance, list(guides)
-    shapes: list[tuple[int, int]] = []
+    shapes: list[tuple[int, ...]] = []
     planes: list[Array] = []
     cross: list[float] = []
-    for level in range(levels):
-        h = 2**level
-        shapes.append(a.shape)  # type: ignore[arg-type]
-        s, details = haar.analyse(a, h, flat)
-        guide_details = []
-        for k, guide in enumerate(lows):
-            lows[k], bands = haar.analyse(guide, h, flat)
-            guide_details.append(bands)
-        b_covered, v_covered = haar.covered(b, h, flat), haar.covered(v_adjoint, h, flat)
-        block_variance = haar.children_sum(v, h, low, flat)
-        s_beside = haar.beside(s, 2 * h, flat, False)
-        per_band: list[Array] = []
-        terms = np.zeros(SPATIAL + PER_GUIDE * len(guides))
-        for o, signs in enumerate(signs_all):
-            bands_here = [g[o] for g in guide_details]
-            stack = np.stack(bands_here) if bands_here else _empty_guides(s.shape, s.dtype)
-            energy = _energy(details[o], bands_here, guide_noise, 2 * h, flat)
-            arguments = (details[o], s, s_beside, energy, block_variance, stack, guide_noise, noise.alpha)
-            per_band.append(candidates(*arguments))
-            terms += cross_terms(
-                *arguments,
-                noise.stencil(),
-                haar.children_sum(b_covered, h, signs, flat),
-                haar.children_sum(b_covered, h, -signs, flat),
-                haar.children_sum(v_covered, h, signs, flat),
-                haar.children_sum(v_covered, h, -signs, flat),
-            )
-        # One weight for all orientations: a microscope prefers none, and a third of the weights is a third of the
-        # over-fitting.
-        for k in range(terms.size):
-            plane = haar.synthesise(None, np.stack([band[k] for band in per_band]), h, flat, shapes[level])
-            for below in reversed(range(level)):
-                plane = haar.synthesise(plane, None, 2**below, flat, shapes[below])
-            planes.append(plane)
-            cross.append(terms[k])
-        a, v = s, block_variance
-        b, v_adjoint = haar.children_sum(b_covered, h, low, flat), haar.children_sum(v_covered, h, low, flat)
 
-    def down(plane: Array) -> Array:
-        for below in reversed(range(levels)):
+    def down(plane: Array, level: int) -> Array:
+        for below in reversed(range(level)):
             plane = haar.synthesise(plane, None, 2**below, flat, shapes[below])
         return plane
 
-    fixed = down(a)
+    for number in range(levels):
+        h = 2**number
+        shapes.append(a.shape)
+        level = _Level(a, v, lows, guide_noise, noise, h, flat)
+        b_covered, v_covered = haar.covered(b, h, flat), haar.covered(v_adjoint, h, flat)
+        cross += level.terms(_children(b_covered, h, flat), _children(v_covered, h, flat), noise)
+        # One weight for all orientations: a microscope prefers none, and a third of the weights is a third of the
+        # over-fitting.
+        for candidate in level.candidates():
+            plane = haar.synthesise(None, candidate[: 1 if flat else 3], h, flat, shapes[number])
+            planes.append(down(plane, number))
+        a, v, lows = level.s, level.variance, level.lows
+        b, v_adjoint = haar.children_sum(b_covered, h, low, flat), haar.children_sum(v_covered, h, low, flat)
+
+    fixed = down(a, levels)
     b64 = b.astype(np.float64)
     fixed_cross = float((b64 * a).sum() - noise.alpha * b64.sum() - v_adjoint.sum(dtype=np.float64))
     for guide in lows:
-        planes.append(down(guide) - fixed)
+        planes.append(down(guide, levels) - fixed)
         cross.append(float((b64 * guide).sum()) - fixed_cross)
     stacked = np.stack([fixed, *planes]).reshape(len(planes) + 1, -1)
     products = (stacked @ stacked.T).astype(np.float64)
@@ -341,35 +397,28 @@ def expand(
 def apply(
     image: Array, noise: Noise, levels: int, flat: bool, guides: list[Array], guide_noise: Array, weights: Array
 ) -> Array:
-    """The estimator with given weights, band by band and without storing the candidates."""
-    low = haar.LOW_1D if flat else haar.LOW_2D
+    """The estimator with given weights, level by level and without storing the candidates."""
     per_level = SPATIAL + PER_GUIDE * len(guides)
     weights = np.asarray(weights, image.dtype)
     a, lows = image, list(guides)
     v = np.broadcast_to(noise.variance, image.shape).astype(image.dtype)
-    kept: list[tuple[tuple[int, int], Array]] = []
-    for level in range(levels):
-        h = 2**level
-        s, details = haar.analyse(a, h, flat)
-        guide_details = []
-        for k, guide in enumerate(lows):
-            lows[k], bands = haar.analyse(guide, h, flat)
-            guide_details.append(bands)
-        v = haar.children_sum(v, h, low, flat)
-        s_beside = haar.beside(s, 2 * h, flat, False)
-        for o in range(details.shape[0]):
-            bands_here = [g[o] for g in guide_details]
-            stack = np.stack(bands_here) if bands_here else _empty_guides(s.shape, s.dtype)
-            energy = _energy(details[o], bands_here, guide_noise, 2 * h, flat)
-            chosen = weights[level * per_level : (level + 1) * per_level]
-            details[o] = combine(details[o], s, s_beside, energy, v, stack, guide_noise, noise.alpha, chosen)
-        kept.append((a.shape, details))  # type: ignore[arg-type]
-        a = s
+    kept: list[tuple[tuple[int, ...], Array]] = []
+    for number in range(levels):
+        level = _Level(a, v, lows, guide_noise, noise, 2**number, flat)
+        w = weights[number * per_level : (number + 1) * per_level]
+        out = level.d.copy() if guides else level.d
+        bump = level.bump(-1)
+        combine(out, bump, level.narrow, level.wide, w[:SPATIAL])
+        for k, guide in enumerate(level.guides):
+            first = SPATIAL + PER_GUIDE * k
+            combine_guide(out, level.d, guide, level.bump(k), level.narrow, w[first : first + PER_GUIDE])
+        kept.append((a.shape, out[: 1 if flat else 3]))
+        a, v, lows = level.s, level.variance, level.lows
     extra = weights[levels * per_level :]
     plane = a * image.dtype.type(1.0 - float(extra.sum()))
     for weight, guide in zip(extra, lows, strict=True):
         plane = plane + weight * guide
-    for level in reversed(range(levels)):
-        shape, details = kept[level]
-        plane = haar.synthesise(plane, details, 2**level, flat, shape)
+    for number in reversed(range(levels)):
+        shape, details = kept[number]
+        plane = haar.synthesise(plane, details, 2**number, flat, shape)
     return plane
