@@ -1,0 +1,45 @@
+"""Motion common to the whole field, so that positions can follow it (SPEC.md §6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.traces.detect import spot_filter
+from napari_mufasa.traces.frames import Frames
+
+ANCHORS = 40  # times at which the shift is measured
+
+
+def common_motion(
+    frames: Frames, sigma_px: float, report: Callable[[int], None] | None, cancel: Callable[[], bool] | None
+) -> NDArray[np.float64]:
+    """(frame, 2) shift (y, x) of the field relative to its start, interpolated between block averages.
+
+    Each block's average is registered by phase-free cross-correlation with the average of the blocks
+    before it, already brought back; molecules that bleach fade from both, so they do not bias it.
+    """
+    from scipy import ndimage
+    from skimage.registration import phase_cross_correlation
+
+    block = max(1, frames.n_frames // ANCHORS)
+    times, shifts = [], []
+    reference = None
+    for start, stack in frames.blocks(block, report, cancel):
+        for i in range(0, len(stack), block):
+            part = stack[i : i + block]
+            image = spot_filter(part.mean(axis=0), sigma_px)
+            if reference is None:
+                reference, shift = image, np.zeros(2)
+            else:
+                shift = -phase_cross_correlation(reference, image, upsample_factor=50, normalization=None)[0]
+                back = ndimage.shift(image, -shift, order=1, mode="nearest")
+                reference = 0.8 * reference + 0.2 * back
+            times.append(start + i + (len(part) - 1) / 2)
+            shifts.append(shift)
+    moved = np.asarray(shifts)
+    t = np.arange(frames.n_frames)
+    motion = np.stack([np.interp(t, times, moved[:, axis]) for axis in range(2)], axis=1)
+    return motion - motion[0]

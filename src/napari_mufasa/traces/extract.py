@@ -1,0 +1,348 @@
+"""Single-molecule traces from an acquisition: detect, extract, judge (SPEC.md §6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.traces import detect, drift, profile, select
+from napari_mufasa.traces.frames import Frames, Progress, Unit
+from napari_mufasa.traces.spots import LitImages, Spots
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from napari_mufasa.model import Camera
+
+
+@dataclass(frozen=True)
+class Options:
+    """How molecules are found, measured and chosen. Every field is a keyword of `extract_traces`.
+
+    psf_sigma_px : PSF standard deviation in px; None measures it on the brightest spots
+    threshold, threshold_value : "sigma" (k noise sd, 6), "percentile" (98), "otsu", "triangle"
+    time_block : frames of the shortest time scale detection looks at; None: at most 200 blocks
+    profile : "psf" (photoelectrons of the whole spot), "sum" (disc of 2.5 σ), "brightest_pixel"
+    subtract_background : subtract the local background ring frame by frame
+    position : "fit" (moments of the lit image) or "brightest_pixel" (its centre)
+    follow_drift : let positions follow the motion common to the field
+    roi : (y, x) mask, or polygons as (vertex, 2) arrays of (y, x), as a Shapes layer holds them
+    step_false_alarm : probability that a trace without any step is split
+    border_px, isolation_px : None: 2 σ and 3.5 σ, at least 2 and 3 px
+    min_snr … best : see `select.Rules`
+    """
+
+    psf_sigma_px: float | None = None
+    threshold: detect.Threshold = "sigma"
+    threshold_value: float | None = None
+    time_block: int | None = None
+    profile: profile.Profile = "psf"
+    subtract_background: bool = True
+    position: str = "fit"
+    follow_drift: bool = False
+    roi: Any = None
+    step_false_alarm: float = 0.01
+    border_px: float | None = None
+    isolation_px: float | None = None
+    min_snr: float = 1.0
+    min_brightness_e: float | None = None
+    min_lit_frames: int = 3
+    max_lit_share: float = 1.0
+    min_steps: int | None = None
+    max_steps: int | None = None
+    width: tuple[float, float] | None = (0.6, 1.5)
+    window: int | None = None
+    best: int | None = None
+
+    def rules(self, sigma_px: float) -> select.Rules:
+        shared = {f.name: getattr(self, f.name) for f in fields(select.Rules)}
+        if self.border_px is None:
+            shared["border_px"] = max(2.0, 2.0 * sigma_px)
+        if self.isolation_px is None:
+            shared["isolation_px"] = max(3.0, 3.5 * sigma_px)
+        return select.Rules(**shared)
+
+
+@dataclass(frozen=True)
+class TraceSet:
+    """What `extract_traces` gives.
+
+    Attributes
+    ----------
+    traces : (molecule, frame) float32 photoelectrons of the kept molecules; with `window`, those frames only
+    molecules : one row per candidate: molecule, y_px, x_px, kept, reason, brightness, snr, bleaching_frame, …
+    all_traces : (candidate, frame) float32 photoelectrons, whole movie, same order as `molecules`
+    units : "photoelectrons"
+    background_e, noise_e : median background level and temporal noise sd per pixel and frame, photoelectrons
+    background : (candidate, frame) local background per pixel
+    lit : (candidate, frame) whether the idealised trace is on
+    sigma_px : PSF width used; pixel_share : share of a molecule's light that the trace holds
+    drift_px : (frame, 2) motion followed, or None; options : how it was made
+    """
+
+    traces: NDArray[np.float32]
+    molecules: pd.DataFrame
+    all_traces: NDArray[np.float32]
+    background: NDArray[np.float32]
+    lit: NDArray[np.bool_]
+    background_e: float
+    noise_e: float
+    sigma_px: float
+    pixel_share: float
+    options: Options
+    drift_px: NDArray[np.float64] | None = None
+    units: str = "photoelectrons"
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        return self.molecules["kept"].to_numpy(dtype=bool)
+
+    @property
+    def positions_px(self) -> NDArray[np.float64]:
+        """(candidate, 2) positions (y, x) of all candidates."""
+        return self.molecules[["y_px", "x_px"]].to_numpy(dtype=float)
+
+    def with_kept(self, molecules: Sequence[int], kept: bool = True, reason: str = "rejected by hand") -> TraceSet:
+        """A copy in which these molecules (ids) are kept, or rejected for `reason`: the choice by hand."""
+        table = self.molecules.copy()
+        chosen = table["molecule"].isin(list(molecules))
+        table.loc[chosen, "kept"] = kept
+        table.loc[chosen, "reason"] = "" if kept else reason
+        return replace(self, molecules=table, traces=_kept_traces(self.all_traces, table, self.options.window))
+
+
+def extract_traces(
+    movie: Any,
+    camera: Camera,
+    dark: Any = None,
+    *,
+    options: Options | None = None,
+    positions_px: NDArray[np.floating] | None = None,
+    unit: Unit = "adu",
+    progress: Progress | None = None,
+    cancel: Callable[[], bool] | None = None,
+    **changes: Any,
+) -> TraceSet:
+    """Find single molecules in a movie and give their traces in photoelectrons (SPEC.md §6).
+
+    Parameters
+    ----------
+    movie : (frame, y, x), NumPy, dask or zarr; read in blocks, twice
+    camera : the detector; dark : dark frames of the same region, which replace its baseline
+    options, **changes : see `Options` (``extract_traces(movie, camera, window=50, best=20)``)
+    positions_px : (molecule, 2) known positions; nothing is detected then
+    unit : what the movie's numbers are: "adu", "photoelectrons" or "photons"
+    progress : called with (frames read, frames to read); cancel : True stops (raises `Cancelled`)
+
+    Returns
+    -------
+    TraceSet : `.traces` of the kept molecules, `.molecules` with all candidates and reasons, …
+
+    Raises
+    ------
+    MufasaError : a movie, dark frames or option that cannot be used.
+    """
+    options = _options(options, changes)
+    frames = Frames(movie, camera, dark, unit)
+    passes = (2 if positions_px is None else 1) + (1 if options.follow_drift else 0)
+    report = _counter(progress, passes * frames.n_frames)
+    sigma = options.psf_sigma_px or (detect.estimate_sigma_px(frames) or 1.3)
+    motion = drift.common_motion(frames, sigma, report, cancel) if options.follow_drift else None
+
+    if positions_px is None:
+        image, _ = detect.significance(
+            frames, sigma, block=options.time_block, drift_px=motion, report=report, cancel=cancel
+        )
+        found, strength, _ = detect.candidates(image, sigma, method=options.threshold, value=options.threshold_value)
+    else:
+        found = _check_positions(positions_px)
+        strength = np.full(len(found), np.nan)
+    if options.position not in ("fit", "brightest_pixel"):
+        raise MufasaError(f"position {options.position!r} is unknown: choose 'fit' or 'brightest_pixel'")
+    if options.position == "brightest_pixel" and positions_px is None:
+        found = np.rint(found)
+
+    measured = _measure(frames, found, sigma, options, motion, report, cancel)
+    refine = options.position == "fit" and positions_px is None
+    positions = found + (measured.spots.shift_px if refine else 0.0)
+    table, lit = _describe(measured, positions, strength, options, frames)
+    select.judge(table, options.rules(sigma), frames.shape, sigma)
+    return TraceSet(
+        traces=_kept_traces(measured.traces, table, options.window),
+        molecules=table,
+        all_traces=measured.traces,
+        background=measured.background,
+        lit=lit,
+        background_e=float(np.median(measured.background)) if measured.background.size else measured.mean_e,
+        noise_e=measured.noise_e,
+        sigma_px=sigma,
+        pixel_share=_share(options.profile, sigma),
+        options=options,
+        drift_px=motion,
+    )
+
+
+@dataclass(frozen=True)
+class _Measured:
+    traces: NDArray[np.float32]
+    background: NDArray[np.float32]
+    spots: Spots
+    noise_e: float
+    mean_e: float
+
+
+def _measure(
+    frames: Frames, positions: NDArray[np.float64], sigma: float, options: Options,
+    motion: NDArray[np.float64] | None, report: Callable[[int], None], cancel: Callable[[], bool] | None,
+) -> _Measured:  # fmt: skip
+    """The second pass: traces, local backgrounds, lit images, noise."""
+    shape = frames.shape[1:]
+    share = options.profile, options.subtract_background
+    opening = profile.aperture(positions, shape, sigma, share[0], subtract_background=share[1])
+    lit_images = LitImages(opening)
+    traces = np.empty((len(positions), frames.n_frames), np.float32)
+    background = np.empty_like(traces)
+    variances, means = [], []
+    for start, stack in frames.blocks(report=report, cancel=cancel):
+        span = slice(start, start + len(stack))
+        if motion is not None:
+            moved = positions + motion[span].mean(axis=0)
+            opening = profile.aperture(moved, shape, sigma, share[0], subtract_background=share[1])
+            lit_images.opening = opening
+        traces[:, span], background[:, span] = opening.traces(stack)
+        lit_images.add(stack, traces[:, span], background[:, span])
+        means.append(float(stack.mean(dtype=np.float64)))
+        if len(stack) > 1:
+            variances.append(float(np.median(np.mean(np.diff(stack, axis=0) ** 2, axis=0))) / 2)
+    noise = float(np.sqrt(np.mean(variances))) if variances else float("nan")
+    return _Measured(traces, background, lit_images.measure(sigma), noise, float(np.mean(means)))
+
+
+def _describe(
+    measured: _Measured, positions: NDArray[np.float64], strength: NDArray[np.float64], options: Options,
+    frames: Frames,
+) -> tuple[pd.DataFrame, NDArray[np.bool_]]:  # fmt: skip
+    """The table of candidates, without the verdict."""
+    import pandas as pd
+
+    traces = measured.traces
+    if not options.subtract_background:  # levels are above the background; steps do not care about it
+        traces = traces - np.median(measured.background, axis=1, keepdims=True)
+    dyn = select.dynamics(traces, options.step_false_alarm)
+    window_start = np.full(len(positions), -1)
+    if options.window is not None:
+        if not 1 <= options.window <= frames.n_frames:
+            raise MufasaError(f"window = {options.window} frames; the movie has {frames.n_frames}: give 1 … that")
+        window_start = select.windows(dyn, options.window)
+    table = pd.DataFrame(
+        {
+            "molecule": np.arange(len(positions)),
+            "y_px": positions[:, 0],
+            "x_px": positions[:, 1],
+            "kept": False,
+            "reason": "",
+            "brightness": dyn.on_level,
+            "snr": dyn.snr,
+            "bleaching_frame": dyn.bleaching_frame,
+            "n_steps": dyn.n_steps,
+            "n_blinks": dyn.n_blinks,
+            "lit_frames": dyn.lit.sum(axis=1),
+            "window_start": window_start,
+            "neighbour_px": _nearest(positions),
+            "sigma_minor_px": measured.spots.sigma_px[:, 0],
+            "sigma_major_px": measured.spots.sigma_px[:, 1],
+            "significance": strength,
+            "background_e": measured.background.mean(axis=1) if measured.background.size else 0.0,
+            "in_roi": _inside(positions, options.roi, frames.shape[1:]),
+        }
+    )
+    return table, dyn.lit
+
+
+def _kept_traces(traces: NDArray[np.float32], table: pd.DataFrame, window: int | None) -> NDArray[np.float32]:
+    kept = np.flatnonzero(table["kept"].to_numpy(dtype=bool))
+    if window is None:
+        return traces[kept]
+    # A molecule kept by hand may have no window of its own: its last frames are shown then.
+    start = table["window_start"].to_numpy(dtype=int)[kept]
+    start = np.where(start < 0, traces.shape[1] - window, start)
+    return (
+        np.stack([traces[i, s : s + window] for i, s in zip(kept, start, strict=True)])
+        if len(kept)
+        else (np.empty((0, window), np.float32))
+    )
+
+
+def _nearest(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    from scipy.spatial import cKDTree
+
+    if len(positions) < 2:
+        return np.full(len(positions), np.inf)
+    return np.asarray(cKDTree(positions).query(positions, k=2)[0][:, 1], dtype=float)
+
+
+def _inside(positions: NDArray[np.float64], roi: Any, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
+    if roi is None:
+        return np.ones(len(positions), dtype=bool)
+    mask = roi_mask(roi, shape_px)
+    y, x = np.clip(np.rint(positions).astype(int), 0, np.array(shape_px) - 1).T
+    return mask[y, x]
+
+
+def roi_mask(roi: Any, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
+    """A (y, x) mask from a mask or from polygons, each (vertex, 2 or more) with (y, x) last."""
+    from skimage.draw import polygon2mask
+
+    if isinstance(roi, np.ndarray) and roi.ndim == 2 and roi.shape == tuple(shape_px):
+        return roi.astype(bool)
+    polygons = [np.asarray(p, dtype=float) for p in roi]
+    if not polygons or any(p.ndim != 2 or p.shape[0] < 3 or p.shape[1] < 2 for p in polygons):
+        raise MufasaError(f"roi must be a mask of shape {tuple(shape_px)} or a list of polygons (vertex, 2)")
+    masks = [polygon2mask(shape_px, p[:, -2:]) for p in polygons]
+    return np.asarray(np.logical_or.reduce(masks), dtype=bool)
+
+
+def _share(kind: profile.Profile, sigma: float) -> float:
+    """Share of a molecule's light that a trace holds, averaged over places within a pixel."""
+    if kind == "psf":
+        return 1.0
+    return profile.mean_peak_share(sigma) if kind == "brightest_pixel" else float(1 - np.exp(-(2.5**2) / 2))
+
+
+def _options(options: Options | None, changes: dict[str, Any]) -> Options:
+    known = {f.name for f in fields(Options)}
+    for name in changes:
+        if name not in known:
+            raise MufasaError(f"extract_traces has no option {name!r}: options are {', '.join(sorted(known))}")
+    chosen = replace(options or Options(), **changes)
+    if chosen.profile not in ("psf", "sum", "brightest_pixel"):
+        raise MufasaError(f"profile {chosen.profile!r} is unknown: choose 'psf', 'sum' or 'brightest_pixel'")
+    if chosen.psf_sigma_px is not None and not 0.3 <= chosen.psf_sigma_px <= 50:
+        raise MufasaError(f"psf_sigma_px = {chosen.psf_sigma_px}: the PSF sd in pixels must lie in 0.3 … 50")
+    if chosen.best is not None and chosen.best < 1:
+        raise MufasaError(f"best = {chosen.best}: keep at least 1 molecule, or give None for all")
+    return chosen
+
+
+def _check_positions(positions: Any) -> NDArray[np.float64]:
+    array = np.asarray(positions, dtype=float)
+    if array.ndim != 2 or array.shape[1] != 2 or not np.isfinite(array).all():
+        raise MufasaError(f"positions_px has shape {array.shape}: give finite (molecule, 2) positions (y, x)")
+    return array
+
+
+def _counter(progress: Progress | None, total: int) -> Callable[[int], None]:
+    done = 0
+
+    def report(n: int) -> None:
+        nonlocal done
+        done += n
+        if progress is not None:
+            progress(min(done, total), total)
+
+    return report
