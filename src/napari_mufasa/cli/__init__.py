@@ -1,0 +1,87 @@
+"""The command line ``napari-mufasa`` (SPEC.md §10): parsing, progress, exit codes; the work is done elsewhere.
+
+Exit 0 done · 2 bad input, one line that says what is wrong and what to do · 130 stopped with Ctrl-C · 1 a fault
+of ours, one line that says so (``--debug`` shows where). Nothing heavy is imported until a verb runs.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+DONE, FAULT, BAD_INPUT, STOPPED = 0, 1, 2, 130
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its exit code (raises `SystemExit`)."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        raise SystemExit(_run(arguments, debug))
+
+
+def _run(arguments: list[str], debug: bool) -> int:
+    import typer
+
+    from napari_mufasa.cli.app import app, spread_lists
+    from napari_mufasa.errors import Cancelled, MufasaError
+
+    try:
+        result = app(spread_lists(arguments), prog_name="napari-mufasa", standalone_mode=False)
+        sys.stdout.flush()
+    except (typer.Abort, KeyboardInterrupt, Cancelled):
+        return _say("stopped; nothing was written", STOPPED)
+    except typer.Exit as leaving:
+        return leaving.exit_code
+    except MufasaError as error:
+        return _say(str(error), BAD_INPUT, debug)
+    except BrokenPipeError:  # the reader of our output (head, less) has left
+        sys.stdout = None  # type: ignore[assignment]
+        return DONE
+    except Exception as error:
+        if _is_usage_error(error):
+            return _say(_usage_line(error), BAD_INPUT, debug)
+        if isinstance(error, OSError):
+            return _say(f"{_os_line(error)}", BAD_INPUT, debug)
+        if isinstance(error, MemoryError):
+            return _say("not enough memory: take fewer frames or a smaller field", BAD_INPUT, debug)
+        where = "" if debug else "; please report this, with what --debug shows"
+        return _say(f"unexpected {type(error).__name__}: {error}{where}", FAULT, debug)
+    return result if isinstance(result, int) else DONE
+
+
+def _say(message: str, code: int, debug: bool = False) -> int:
+    if debug:
+        import traceback
+
+        traceback.print_exc()
+    print("napari-mufasa: " + " ".join(message.split()), file=sys.stderr)
+    return code
+
+
+def _is_usage_error(error: Exception) -> bool:
+    # typer brings its own copy of click in new versions, and uses the installed one in old ones.
+    return any(kind.__name__ == "ClickException" for kind in type(error).__mro__)
+
+
+def _usage_line(error: Any) -> str:
+    context = getattr(error, "ctx", None)
+    verb = context.command_path if context is not None else "napari-mufasa"
+    message = str(error.format_message()).rstrip(".")
+    return f"{message[:1].lower()}{message[1:]}; see '{verb} --help'"
+
+
+def _os_line(error: OSError) -> str:
+    if error.filename is None or error.strerror is None:
+        return f"{error}: check the files and the space on the disk"
+    return f"{error.filename}: {error.strerror.lower()}; check the path, its permissions and the space on the disk"
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    """Our own warnings in one line; what libraries tell their developers is not for users."""
+    if category is UserWarning:
+        print("napari-mufasa: note: " + " ".join(str(message).split()), file=sys.stderr)

@@ -1,0 +1,65 @@
+"""The typer application: global options and the list of verbs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from napari_mufasa.cli import discovering, making, measuring
+
+app = typer.Typer(
+    name="napari-mufasa",
+    help="Simulate, denoise, extract, compare single-molecule movies, and find the physics a model lacks.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+for module in (making, measuring, discovering):
+    for verb in module.VERBS:
+        app.command(verb.__name__)(verb)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from napari_mufasa import __version__
+
+        typer.echo(f"napari-mufasa {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def options(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and leave.", callback=_version, is_eager=True)
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def spread_lists(arguments: Sequence[str]) -> list[str]:
+    """``--add A B`` as ``--add A --add B``: the form in which the parser takes a list.
+
+    A word belongs to the list while it looks like KIND or KIND:NAME=VALUE and is no file.
+    """
+    spread: list[str] = []
+    listing = False
+    for argument in arguments:
+        if listing and re.fullmatch(r"[A-Za-z]\w*(:.*)?", argument) and not Path(argument).exists():
+            if spread[-1] != "--add":
+                spread.append("--add")
+            spread.append(argument)
+            continue
+        listing = argument == "--add"
+        spread.append(argument)
+    return spread
+
+
+__all__: Any = ["app", "spread_lists"]

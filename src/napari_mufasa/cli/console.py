@@ -1,0 +1,158 @@
+"""What every verb shares: progress and Ctrl-C, outputs that are whole or absent, small tables."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from napari_mufasa.errors import MufasaError
+
+if TYPE_CHECKING:
+    from napari_mufasa.model import Model
+
+MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr")
+
+
+@dataclass(frozen=True)
+class Work:
+    """What long work takes: `progress(done, total)` and `cancel()`."""
+
+    progress: Callable[[int, int], None]
+    cancel: Callable[[], bool]
+
+    def both(self) -> dict[str, Any]:
+        return {"progress": self.progress, "cancel": self.cancel}
+
+
+@contextlib.contextmanager
+def working(title: str) -> Iterator[Work]:
+    """A progress bar on a terminal (nothing when piped), and Ctrl-C that stops at the next safe point.
+
+    A second Ctrl-C stops at once. The bar goes to stderr, so that stdout stays clean for results.
+    """
+    stop = threading.Event()
+
+    def ask_to_stop(_number: int, _frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        print("\nstopping … (Ctrl-C again to stop at once)", file=sys.stderr)
+
+    main_thread = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGINT, ask_to_stop) if main_thread else None
+    try:
+        with _bar(title) as progress:
+            yield Work(progress, stop.is_set)
+    finally:
+        if main_thread:
+            signal.signal(signal.SIGINT, before)
+    if stop.is_set():  # asked after the last safe point: the result is not wanted
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _bar(title: str) -> Iterator[Callable[[int, int], None]]:
+    if not sys.stderr.isatty():
+        yield lambda _done, _total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task(title, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+def check_movie_out(path: Path) -> None:
+    """Fail before the work, not after it, when the movie could not be written."""
+    if not path.name.lower().endswith(MOVIE_SUFFIXES):
+        raise MufasaError(f"cannot write a movie to {path}: use .ome.tif, .tif or .zarr")
+    check_file_out(path, directory=path.suffix == ".zarr")
+
+
+def check_file_out(path: Path, directory: bool = False) -> None:
+    if not path.parent.is_dir():
+        raise MufasaError(f"no folder {path.parent}: make it first or choose another output path")
+    if path.is_dir() and not directory:
+        raise MufasaError(f"{path} is a folder: give the path of a file")
+    if directory and path.is_dir() and any(path.iterdir()) and not (path / "zarr.json").exists():
+        raise MufasaError(f"{path} is a folder that holds other things: choose another output path")
+
+
+def check_folder_out(path: Path) -> None:
+    if path.exists() and not path.is_dir():
+        raise MufasaError(f"{path} is a file: give the path of a folder")
+
+
+@contextlib.contextmanager
+def folder(path: Path) -> Iterator[Path]:
+    """A temporary folder; its files move into `path` together at the end, or disappear."""
+    import os
+    import shutil
+    import tempfile
+
+    check_folder_out(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    try:
+        yield temporary
+        path.mkdir(exist_ok=True)
+        for file in sorted(temporary.iterdir()):
+            os.replace(file, path / file.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def with_effect(model: Model, text: str) -> Model:
+    """The model with an effect given as KIND[:NAME=VALUE,…]."""
+    return model.with_effects(effect_from_text(model, text))
+
+
+def effect_from_text(model: Model, text: str) -> Any:
+    import json
+
+    kind, _, rest = text.partition(":")
+    data: dict[str, Any] = {"kind": kind.strip()}
+    for item in filter(None, (part.strip() for part in rest.split(","))):
+        name, equals, value = item.partition("=")
+        if not equals:
+            raise MufasaError(f"effect {text!r}: {item!r} is not NAME=VALUE; write KIND:NAME=VALUE,NAME=VALUE")
+        try:
+            data[name.strip()] = json.loads(value)
+        except ValueError:
+            data[name.strip()] = value.strip()
+    return model.with_values({"effects": [data]}).effects[0]
+
+
+def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Aligned columns; numbers with four significant digits."""
+    cells = [list(head), *([_cell(value) for value in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
+    for row in cells:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _cell(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "–" if value is None else str(value)
+
+
+@contextlib.contextmanager
+def scratch(beside: Path, shape: tuple[int, ...], dtype: Any, *, in_memory: bool) -> Iterator[Any]:
+    """An array to work in: in memory, or in a temporary file beside the output for movies larger than that."""
+    import numpy as np
+
+    if in_memory:
+        yield np.empty(shape, dtype)
+        return
+    import tempfile
+
+    with tempfile.NamedTemporaryFile(prefix=f".{beside.name}-", dir=beside.parent) as file:
+        yield np.memmap(file.name, dtype=dtype, mode="w+", shape=shape)

@@ -1,0 +1,185 @@
+"""Verbs that start from a model: simulate, presets, design, demo."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from napari_mufasa.cli import console
+from napari_mufasa.errors import MufasaError
+
+if TYPE_CHECKING:
+    from napari_mufasa.model import Model
+    from napari_mufasa.simulation import Acquisition
+
+
+class EngineName(StrEnum):
+    fast = "fast"
+    exact = "exact"
+
+
+ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL.json", help="The model (see 'presets').")]
+Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed gives the same result.")]
+
+
+def simulate(
+    out: Annotated[Path, typer.Option("--out", metavar="MOVIE", help="MOVIE.ome.tif or MOVIE.zarr.")],
+    preset: Annotated[str | None, typer.Option("--preset", metavar="NAME", help="A preset by name.")] = None,
+    model: Annotated[Path | None, typer.Option("--model", metavar="MODEL.json", help="Or a model file.")] = None,
+    n_molecules: Annotated[int | None, typer.Option("--n-molecules", min=0, metavar="N")] = None,
+    frames: Annotated[int | None, typer.Option("--frames", min=1, metavar="N")] = None,
+    shape: Annotated[tuple[int, int] | None, typer.Option("--shape", metavar="H W", help="Pixels.")] = None,
+    positions: Annotated[
+        Path | None, typer.Option("--positions", metavar="CSV", help="y_px, x_px or y_nm, x_nm.")
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", metavar="KIND[:NAME=VALUE,…]", help="Add an effect; may be repeated."),
+    ] = None,
+    engine: Annotated[EngineName, typer.Option("--engine")] = EngineName.fast,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", metavar="DIR", help="Also write emission.csv and positions.csv.")
+    ] = None,
+    seed: Seed = 0,
+) -> None:
+    """Simulate a movie; the whole model and the seed travel in its metadata."""
+    import numpy as np
+
+    from napari_mufasa import io
+    from napari_mufasa.sample import read_positions
+    from napari_mufasa.simulation import Acquisition
+
+    console.check_movie_out(out)
+    if truth is not None:
+        console.check_folder_out(truth)
+    chosen = _chosen_model(preset, model)
+    changes: dict[str, Any] = {}
+    if n_molecules is not None:
+        changes["sample.n_molecules"] = n_molecules
+    if frames is not None:
+        changes["acquisition.n_frames"] = frames
+    if shape is not None:
+        changes["acquisition.shape_px"] = shape
+    if changes:
+        chosen = chosen.with_values(changes)
+    for text in effect or []:
+        chosen = console.with_effect(chosen, text)
+    places = None if positions is None else read_positions(positions, chosen.acquisition.pixel_size_nm)
+    if places is not None and n_molecules is not None:
+        if n_molecules > len(places):
+            raise MufasaError(f"--n-molecules {n_molecules}: {positions} has {len(places)} positions; give fewer")
+        places = places[:n_molecules]
+    if places is not None:  # the model in the metadata says what the movie holds
+        chosen = chosen.with_values({"sample.n_molecules": len(places)})
+    acquisition = Acquisition(chosen, places, seed, engine.value)
+    movie_shape = (acquisition.n_frames, *chosen.acquisition.shape_px)
+    with console.working("simulating") as work:
+        blocks = (block.movie for _, block in acquisition.blocks(**work.both()))
+        io.write_movie(out, blocks, movie_shape, np.uint16, model=chosen, seed=seed)
+    if truth is not None:
+        _write_truth(truth, acquisition)
+    n = len(acquisition.scene.positions_px)
+    typer.echo(f"{out}: {movie_shape[0]} frames of {movie_shape[1]} × {movie_shape[2]} px, {n} molecules, seed {seed}")
+
+
+def _chosen_model(preset: str | None, path: Path | None) -> Model:
+    from napari_mufasa.model import Model
+    from napari_mufasa.presets import preset as find_preset
+
+    if (preset is None) == (path is None):
+        raise MufasaError("give either --preset NAME or --model MODEL.json ('presets' lists the names)")
+    return find_preset(preset) if preset is not None else Model.from_json(path or "")
+
+
+def _write_truth(directory: Path, acquisition: Acquisition) -> None:
+    import numpy as np
+    import pandas as pd
+
+    from napari_mufasa import io
+
+    molecule, frame = np.nonzero(acquisition.emission)
+    photons = acquisition.emission[molecule, frame]
+    emission = pd.DataFrame({"molecule": molecule, "frame": frame, "photons": photons})
+    positions = pd.DataFrame(acquisition.scene.positions_px, columns=["y_px", "x_px"])
+    with console.folder(directory) as folder:
+        io.write_table(folder / "emission.csv", emission)
+        io.write_table(folder / "positions.csv", positions.rename_axis("molecule").reset_index())
+
+
+def presets(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Which one to print as model.json.")] = None,
+) -> None:
+    """Print a preset as model.json, or list them."""
+    import json
+
+    from napari_mufasa.presets import PRESETS, preset
+
+    if name is not None:
+        typer.echo(json.dumps(preset(name).to_dict(), indent=1))
+        return
+    rows = []
+    for each in PRESETS:
+        model = preset(each)
+        timing = model.acquisition
+        frames = f"{timing.n_frames} × {1000 * timing.frame_length_s:g} ms"
+        rows.append((each, model.protocol, model.camera.type, frames, f"{timing.shape_px[0]} × {timing.shape_px[1]}"))
+    console.print_table(("preset", "protocol", "camera", "frames", "pixels"), rows)
+
+
+def design(
+    model: ModelFile,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option("--vary", metavar="PATH=V1,V2,…", help="A value of the model to vary; may be repeated."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="TABLE.csv", help="Write the table as CSV.")] = None,
+) -> None:
+    """Predict signal, noise, life time and detectability before taking the movie."""
+    from napari_mufasa import io
+    from napari_mufasa.design import sweep
+    from napari_mufasa.model import Model
+
+    if out is not None:
+        console.check_file_out(out)
+    table = sweep(Model.from_json(model), dict(_parse_vary(text) for text in vary or []))
+    if out is not None:
+        io.write_table(out, table)
+    turned = table.astype(object).where(table.notna(), None).T
+    head = ("quantity", *(f"case {i + 1}" for i in range(len(table)))) if len(table) > 1 else ("quantity", "value")
+    console.print_table(head, [(name, *row) for name, row in zip(turned.index, turned.to_numpy(), strict=True)])
+
+
+def _parse_vary(text: str) -> tuple[str, list[Any]]:
+    import json
+
+    path, _, values = text.partition("=")
+    if not path.strip() or not values.strip():
+        raise MufasaError(f"--vary {text!r}: write PATH=V1,V2,… as in excitation.power_density_w_per_cm2=1,10,100")
+    parsed = []
+    for value in values.split(","):
+        try:
+            parsed.append(json.loads(value))
+        except ValueError:
+            parsed.append(value.strip())
+    return path.strip(), parsed
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to write.")] = Path("demo"),
+    seed: Seed = 1,
+    viewer: Annotated[bool, typer.Option("--viewer", help="Open the result in napari at the end.")] = False,
+) -> None:
+    """Hide an effect in a simulated movie, find it from the files alone, then open the envelope."""
+    from napari_mufasa.demo import open_viewer, run
+
+    console.check_folder_out(out)
+    with console.working("demo") as work:
+        run(out, seed, say=typer.echo, **work.both())
+    if viewer:
+        open_viewer(out)
+
+
+VERBS = (demo, simulate, design, presets)
