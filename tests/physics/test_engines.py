@@ -1,0 +1,231 @@
+"""The fast engine against the exact one, in distribution, on all four protocols (SPEC.md §2).
+
+All comparisons are between simulations of different seeds. Kolmogorov-Smirnov tests on whole numbers are
+conservative, so the false-alarm rates stated are upper bounds. Seeds are fixed.
+"""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from napari_mufasa import MufasaError, preset, simulate_emission
+from napari_mufasa.photophysics.chain import Chain, Transition
+from napari_mufasa.photophysics.engines import Exposure, simulate_photons
+from napari_mufasa.streams import Streams
+
+OVERALL = 1e-3  # false alarms of the whole comparison of the engines
+N = 6000
+
+# The presets, with bleaching and activation hurried so that every transition happens often in a short movie.
+MODELS = {
+    "PALM": {"fluorophore.cycles_before_bleaching": 4000, "excitation.activation_rate_per_s": 4.0},
+    "STORM": {"fluorophore.cycles_before_bleaching": 4000, "fluorophore.triplet_decay_rate_per_s": 12.0},
+    "FF": {},
+    "Blinking": {"fluorophore.triplet_decay_rate_per_s": 6.0, "fluorophore.cycles_before_bleaching": 5000},
+}
+
+
+def model_of(name, n_frames=60):
+    return preset(name).with_values(MODELS[name] | {"acquisition.n_frames": n_frames})
+
+
+@pytest.fixture(scope="module")
+def both():
+    return {
+        name: tuple(simulate_emission(model_of(name), N, seed=s, engine=e) for e, s in (("fast", 1), ("exact", 2)))
+        for name in MODELS
+    }
+
+
+def gaps(counts):
+    """Lengths in frames of the dark stretches between two bright frames; one per molecule (the first)."""
+    found = []
+    for row in counts > 0:
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], row.view(np.int8), [0]))))
+        starts, ends = edges[::2], edges[1::2]
+        if len(starts) > 1:
+            found.append(starts[1] - ends[0])
+    return np.array(found)
+
+
+def last_on(counts):
+    on = counts > 0
+    return np.where(on.any(axis=1), on.shape[1] - on[:, ::-1].argmax(axis=1), 0)
+
+
+STATISTICS = {
+    "total photons": lambda c: c.sum(axis=1),
+    "frames with light": lambda c: (c > 0).sum(axis=1),
+    "photons in frame 0": lambda c: c[:, 0],
+    "photons in frame 25": lambda c: c[:, 25],
+    "first frame with light": lambda c: np.where((c > 0).any(axis=1), (c > 0).argmax(axis=1), c.shape[1]),
+    "last frame with light": last_on,
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("statistic", STATISTICS)
+def test_engines_agree_in_distribution(both, name, statistic):
+    """24 two-sample KS tests (one number per molecule, so samples are independent), overall 1e-3."""
+    fast, exact = (STATISTICS[statistic](counts) for counts in both[name])
+    assert stats.ks_2samp(fast, exact).pvalue > OVERALL / (len(MODELS) * len(STATISTICS))
+
+
+@pytest.mark.parametrize("name", ["STORM", "Blinking"])
+def test_engines_agree_in_dark_dwell_times(both, name):
+    fast, exact = (gaps(counts) for counts in both[name])
+    assert min(len(fast), len(exact)) > 1500
+    assert stats.ks_2samp(fast, exact).pvalue > OVERALL / 2
+
+
+def test_the_comparison_sees_a_difference_of_fifteen_percent(both):
+    """The comparison can fail: a sixth more bleaching or faster return is seen somewhere."""
+    for name, change in (
+        ("FF", {"fluorophore.cycles_before_bleaching": 4300}),
+        ("STORM", {"fluorophore.triplet_decay_rate_per_s": 14.0}),
+    ):
+        model = model_of(name).with_values(change)
+        other = simulate_emission(model, N, seed=4, engine="fast")
+        pvalues = [stats.ks_2samp(s(other), s(both[name][1])).pvalue for s in STATISTICS.values()]
+        assert min(pvalues) < OVERALL / 24
+
+
+@pytest.mark.parametrize("engine", ["fast", "exact"])
+def test_poisson_limit(engine):
+    """Source note 2: k01 ≪ k10 and no dark state → Poisson counts of mean k01 Δt, independent between frames."""
+    values = {"fluorophore.cycles_before_bleaching": None, "acquisition.n_frames": 20}
+    counts = simulate_emission(preset("FF").with_values(values), 1500, seed=6, engine=engine)
+    mu = 67.2490
+    # Chi-square of the histogram (bins of expected ≥ 30), false alarm 1e-4 each.
+    grid = np.arange(0, 200)
+    expected = stats.poisson.pmf(grid, mu) * counts.size
+    observed = np.bincount(counts.ravel(), minlength=200)[:200]
+    use = expected >= 30
+    e, o = np.append(expected[use], expected[~use].sum()), np.append(observed[use], observed[~use].sum())
+    e *= o.sum() / e.sum()
+    assert stats.chisquare(o, e).pvalue > 1e-4
+    centred = counts - mu
+    lag_1 = (centred[:, 1:] * centred[:, :-1]).mean() / mu
+    assert abs(lag_1) < 4 / np.sqrt(counts[:, 1:].size)  # |z| > 4: 6e-5
+
+
+@pytest.mark.parametrize("engine", ["fast", "exact"])
+def test_photons_until_bleaching_are_geometric(engine):
+    """Each cycle ends in a photon with QY·k10/(k10+k1B): mean N_c·QY, P(N ≥ n) = q^n."""
+    model = preset("FF").with_values(
+        {
+            "fluorophore.cycles_before_bleaching": 200,
+            "fluorophore.quantum_yield": 0.6,
+            "acquisition.n_frames": 4,
+            "acquisition.frame_length_s": 0.2,  # 0.8 s: 27 bleaching times
+        }
+    )
+    totals = simulate_emission(model, 4000, seed=7, engine=engine).sum(axis=1)
+    mean = 200 * 0.6  # k10/k1B = N_c relaxations per bleaching
+    assert totals.mean() == pytest.approx(mean, abs=4 * mean / np.sqrt(4000))  # |z| > 4: 6e-5
+    q = mean / (1 + mean)
+    # KS against the geometric law; discreteness makes it conservative; false alarm ≤ 1e-4.
+    steps = np.sort(totals)
+    empirical = np.searchsorted(steps, np.arange(2000), side="right") / 4000
+    distance = np.abs(empirical - (1 - q ** (np.arange(2000) + 1))).max()
+    assert stats.kstwobign.sf(distance * np.sqrt(4000)) > 1e-4
+
+
+@pytest.mark.parametrize("engine", ["fast", "exact"])
+def test_no_photon_is_lost_at_frame_edges(engine):
+    """Forty short frames hold what one long frame holds."""
+    base = preset("Blinking").with_values({"fluorophore.triplet_decay_rate_per_s": 20.0})
+    short = base.with_values({"acquisition.n_frames": 40, "acquisition.frame_length_s": 0.002})
+    long = base.with_values({"acquisition.n_frames": 1, "acquisition.frame_length_s": 0.08})
+    a = simulate_emission(short, 4000, seed=8, engine=engine).sum(axis=1)
+    b = simulate_emission(long, 4000, seed=9, engine=engine).sum(axis=1)
+    assert stats.ks_2samp(a, b).pvalue > 1e-4
+
+
+def test_dead_time_takes_its_share_of_the_light():
+    """Exposure 4 ms of every 10 ms: 40 % of the photons, and bleaching goes on in the dark."""
+    base = preset("FF").with_values({"fluorophore.cycles_before_bleaching": 2000, "acquisition.n_frames": 200})
+    dead = base.with_values({"acquisition.frame_length_s": 0.004, "acquisition.frame_interval_s": 0.01})
+    photons = simulate_emission(dead, 4000, seed=10).sum(axis=1)
+    whole = simulate_emission(base, 4000, seed=11).sum(axis=1)
+    assert photons.mean() / whole.mean() == pytest.approx(0.4, rel=4 * np.sqrt(2 / 4000))  # |z| > 4: 6e-5
+
+
+@pytest.mark.parametrize("engine", ["fast", "exact"])
+def test_light_in_time_and_per_molecule(engine):
+    """Counts follow light(frame) × drive(molecule)."""
+    chain = Chain(
+        ("S0", "S1"),
+        (Transition("S0", "S1", 5000.0, driven=True), Transition("S1", "S0", 1e8, photon_probability=1.0)),
+        {"S0": 1.0},
+    )
+    drive = np.repeat([0.5, 2.0], 1000)
+    light = np.array([0.0, 1.0, 0.25, 3.0])
+    counts = simulate_photons(chain, drive, Exposure(0.01, 0.0, light), Streams(12), engine)
+    for half, level in ((slice(0, 1000), 0.5), (slice(1000, 2000), 2.0)):
+        mean = 50 * level * light
+        np.testing.assert_array_less(np.abs(counts[half].mean(axis=0) - mean), 4.3 * np.sqrt(mean / 1000) + 1e-2)
+
+
+def bright(power):
+    """A fluorophore slow enough (τ 50 µs) that k01/k10 is large in ordinary light."""
+    return preset("FF").with_values(
+        {
+            "fluorophore.lifetime_s": 5e-5,
+            "fluorophore.cycles_before_bleaching": 3000,
+            "excitation.power_density_w_per_cm2": power,
+            "acquisition.n_frames": 30,
+        }
+    )
+
+
+def test_fast_falls_back_to_exact_where_the_separation_fails():
+    with pytest.warns(UserWarning, match=r"k01/k10 = 0\.34 exceeds 0\.01; running the exact engine"):
+        fast = simulate_emission(bright(2), 300, seed=13, engine="fast")
+    np.testing.assert_array_equal(fast, simulate_emission(bright(2), 300, seed=13, engine="exact"))
+
+
+def test_exact_counts_are_sub_poissonian_as_a_renewal_process():
+    """Fano factor 1 − 2 k01 k10/(k01+k10)² (SPEC.md §2): alternating exponential waits."""
+    model = bright(2).with_values(
+        {"fluorophore.cycles_before_bleaching": None, "acquisition.frame_length_s": 0.05, "acquisition.n_frames": 40}
+    )
+    counts = simulate_emission(model, 400, seed=14, engine="exact")
+    k01, k10 = 6724.90, 2e4
+    mean = 0.05 * k01 * k10 / (k01 + k10)
+    fano = counts[:, 1:].var() / counts[:, 1:].mean()
+    n = counts[:, 1:].size
+    assert counts[:, 1:].mean() == pytest.approx(mean, abs=4 * np.sqrt(mean / n))
+    assert fano == pytest.approx(1 - 2 * k01 * k10 / (k01 + k10) ** 2, abs=4 * np.sqrt(2 / n))  # |z| > 4: 6e-5
+
+
+def test_frames_of_a_few_lifetimes_fall_back_to_exact():
+    model = preset("FF").with_values({"acquisition.frame_length_s": 5e-8, "acquisition.n_frames": 5})
+    with pytest.warns(UserWarning, match="lifetimes; running the exact engine"):
+        simulate_emission(model, 3, seed=1)
+
+
+def test_no_warning_where_the_separation_holds():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in ("PALM", "STORM", "FF", "Blinking", "EGFP", "Alexa647-STORM"):
+            simulate_emission(preset(name), 2, seed=1)
+
+
+def test_unknown_engine_is_refused():
+    with pytest.raises(MufasaError, match="choose 'fast' or 'exact'"):
+        simulate_emission(preset("FF"), 2, engine="turbo")
+
+
+@pytest.mark.parametrize("n", [-1, 2.5, True, "10"])
+def test_wrong_number_of_molecules_is_refused(n):
+    with pytest.raises(MufasaError, match="n_molecules"):
+        simulate_emission(preset("FF"), n)
+
+
+def test_a_molecule_without_light_stays_dark():
+    model = preset("FF").with_values({"excitation.power_density_w_per_cm2": 0})
+    assert not simulate_emission(model, 20, seed=1).any()
+    assert not simulate_emission(model, 20, seed=1, engine="exact").any()
