@@ -1,0 +1,97 @@
+"""Counter-based random variates against their distributions; false alarm 1e-4 per test, seeds fixed."""
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy import stats
+
+from napari_mufasa import variates
+from napari_mufasa.streams import Streams
+
+N = 100_000
+KEY = Streams(5).key("test")
+stream, uniform, normal, exponential, poisson, gamma = (
+    variates.stream,
+    variates.uniform,
+    variates.normal,
+    variates.exponential,
+    variates.poisson,
+    variates.gamma,
+)
+
+
+@njit
+def plain(which, key, n):
+    """One variate from each of n neighbouring streams."""
+    out = np.empty(n)
+    for i in range(n):
+        state = stream(key, 3, i)
+        if which == 0:
+            out[i], _ = uniform(state)
+        elif which == 1:
+            out[i], _ = normal(state)
+        else:
+            out[i], _ = exponential(state)
+    return out
+
+
+@njit
+def poissons(mean, key, n):
+    out = np.empty(n)
+    for i in range(n):
+        out[i], _ = poisson(mean, stream(key, i, 7))
+    return out
+
+
+@njit
+def gammas(shape, key, n):
+    out = np.empty(n)
+    for i in range(n):
+        out[i], _ = gamma(shape, stream(key, i, 7))
+    return out
+
+
+@pytest.mark.parametrize(("which", "law"), [(0, "uniform"), (1, "norm"), (2, "expon")])
+def test_continuous_variates(which, law):
+    values = plain(which, KEY, N)
+    assert stats.kstest(values, law).pvalue > 1e-4
+
+
+def test_neighbouring_streams_are_independent():
+    for lag in (1, 2, 64):
+        values = plain(1, KEY, N)
+        assert abs(np.mean(values[lag:] * values[:-lag])) < 4 / np.sqrt(N)  # |z| > 4: 6e-5
+    other = plain(1, Streams(5).key("other"), N)
+    assert abs(np.mean(values * other)) < 4 / np.sqrt(N)
+    next_seed = plain(1, Streams(6).key("test"), N)
+    assert abs(np.mean(values * next_seed)) < 4 / np.sqrt(N)
+
+
+@pytest.mark.parametrize("mean", [0.002, 0.3, 4.0, 29.9, 30.1, 180.0, 5e4])
+def test_poisson(mean):
+    """Chi-square over bins of expected count ≥ 10, on both sides of the change of method at 30."""
+    values = poissons(mean, KEY, N).astype(int)
+    low, high = int(stats.poisson.ppf(1e-4, mean)), int(stats.poisson.ppf(1 - 1e-4, mean))
+    edges = np.unique(np.linspace(low, high, min(high - low + 1, 60)).astype(int))
+    cumulative = np.concatenate(([0], stats.poisson.cdf(edges, mean), [1]))
+    expected = N * np.diff(cumulative)
+    observed = np.histogram(values, np.concatenate(([-1], edges, [10**9])) + 0.5)[0]
+    use = expected >= 10
+    e, o = expected[use], observed[use]
+    if (~use).any():
+        e, o = np.append(e, expected[~use].sum()), np.append(o, observed[~use].sum())
+    assert stats.chisquare(o, e * o.sum() / e.sum()).pvalue > 1e-4
+
+
+def test_poisson_of_nothing_is_nothing():
+    assert not poissons(0.0, KEY, 100).any()
+    assert not poissons(-1.0, KEY, 100).any()
+
+
+@pytest.mark.parametrize("shape", [0.2, 0.5, 1.0, 2.5, 40.0, 3e3])
+def test_gamma(shape):
+    assert stats.kstest(gammas(shape, KEY, N), "gamma", args=(shape,)).pvalue > 1e-4
+
+
+def test_gamma_of_no_electron_is_none():
+    assert not gammas(0.0, KEY, 100).any()
