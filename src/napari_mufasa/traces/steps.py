@@ -75,7 +75,8 @@ def critical_value(n_frames: int, false_alarm_rate: float, min_segment: int = MI
         bridge = norm.pdf(b) * ((b - 1 / b) * 2 * np.log((1 - t0) / t0) + 4 / b)
         return float(min(bridge, splits * 2 * norm.sf(b)) - false_alarm_rate)
 
-    return float(optimize.brentq(excess, 0.5, 12.0)) if excess(0.5) > 0 else 0.5
+    # Below 1.5 the approximation (of a tail) no longer falls with b.
+    return float(optimize.brentq(excess, 1.5, 12.0)) if excess(1.5) > 0 else 1.5
 
 
 @cache

@@ -1,0 +1,284 @@
+"""One comparison: measured traces against a model and two baselines, with floor and intervals (SPEC.md §7)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.compare.distributions import Distribution, Sample, distributions
+from napari_mufasa.compare.fit import Fit, fit_model
+from napari_mufasa.compare.simulated import acquisitions, apart, extract_simulated
+from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
+from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.model import Model
+from napari_mufasa.traces import Options, TraceSet, extract_traces
+from napari_mufasa.traces.select import dynamics, windows
+
+Progress = Callable[[int, int], None]
+Cancel = Callable[[], bool]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """W1 of the model ("mufasa"), the Poisson and SOFI baselines and, where asked for, the fitted model.
+
+    Attributes
+    ----------
+    w1 : {"mufasa", "poisson", "sofi", "fitted"?, "floor", "unit"}, over frames
+    w1_traces : the same over whole traces; w1_interval : name → 95 % interval over frames
+    samples : name → traces with their dynamics, "measured" first
+    distributions : name → `Distribution`, measured and simulated on one axis
+    model, fit : the model compared, and the nuisance fit (None when not asked for)
+    measured : the measured `TraceSet` when the input was a movie
+    """
+
+    w1: dict[str, Any]
+    w1_traces: dict[str, Any]
+    w1_interval: dict[str, tuple[float, float]]
+    floor: Floor
+    samples: dict[str, Sample]
+    distributions: dict[str, Distribution]
+    model: Model
+    fit: Fit | None = None
+    measured: TraceSet | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def report(self) -> dict[str, Any]:
+        """Plain data for report.json (SPEC.md §10)."""
+        return {
+            "w1": self.w1,
+            "w1_traces": self.w1_traces,
+            "w1_interval_95": {name: list(pair) for name, pair in self.w1_interval.items()},
+            "floor_range_95": [self.floor.low, self.floor.high],
+            "molecules": {name: len(s.traces) for name, s in self.samples.items()},
+            "frames": {name: int(s.traces.shape[1]) for name, s in self.samples.items()},
+            "fitted": None if self.fit is None else self.fit.values,
+            "fitted_model": None if self.fit is None else self.fit.model.to_dict(),
+            "distributions": {name: d.as_dict() for name, d in self.distributions.items()},
+            "model": self.model.to_dict(),
+            "notes": self.notes,
+        }
+
+
+def compare_movie(
+    movie: Any,
+    model: Model,
+    dark: Any = None,
+    *,
+    seed: int = 0,
+    fit: bool = True,
+    options: Options | None = None,
+    n_bootstrap: int = 100,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+    **changes: Any,
+) -> Comparison:
+    """Compare a measured movie with a model, the baselines and (with `fit`) the fitted model.
+
+    Traces are extracted from the movie; every model is simulated with molecules at the candidates' places,
+    recorded by the model's camera, and extracted by the same detection and selection.
+
+    Parameters
+    ----------
+    movie : (frame, y, x) ADU; dark : dark frames, which replace the baseline
+    options, **changes : as for `extract_traces`; the PSF width defaults to the model's
+    fit : also fit the model to the traces by moments (see `fit_model`) and compare the result
+    """
+    options = replace(options or Options(), **changes)
+    if options.psf_sigma_px is None:
+        options = replace(options, psf_sigma_px=model.sigma_px)
+    steps = _Steps(progress, 6 if fit else 4, cancel)
+    measured = extract_traces(movie, model.camera, dark, options=options, cancel=cancel)
+    steps.done()
+    if not measured.kept.any():
+        raise MufasaError(
+            f"no molecule left to compare: {len(measured.molecules)} candidates, all rejected "
+            f"({_most_frequent(measured)}); lower the threshold or relax the selection"
+        )
+    model = _in_the_measurement(model, movie.shape)
+    everywhere = measured.positions_px[~measured.molecules["reason"].isin(_NOT_MOLECULES).to_numpy()]
+    sets = {}
+    for name, acquisition in acquisitions(model, everywhere, seed).items():
+        sets[name] = extract_simulated(acquisition, options, cancel=cancel)
+        steps.done()
+    fitted = None
+    if fit:
+
+        def simulate(candidate: Model) -> TraceSet:
+            one = acquisitions(candidate, everywhere, seed)["mufasa"]
+            return extract_simulated(one, options, cancel=cancel)
+
+        fitted = fit_model(measured, model, simulate)
+        steps.done()
+        # Another seed than the fit used: the fit must not profit from its own chance.
+        one = acquisitions(fitted.model, everywhere, seed + 10)["mufasa"]
+        sets["fitted"] = extract_simulated(one, options, cancel=cancel)
+        steps.done()
+    samples = {name: _sample(s) for name, s in {"measured": measured, **sets}.items()}
+    notes = [f"{name}: no molecule was detected in the simulated movie" for name, s in sets.items() if not s.kept.any()]
+    return _compare(samples, model, measured.units, seed, n_bootstrap, fitted, measured, notes)
+
+
+def compare_traces(
+    traces: NDArray[Any],
+    model: Model,
+    *,
+    unit: str = "photoelectrons",
+    profile: str = "psf",
+    background_subtracted: bool = True,
+    window: int | None = None,
+    best: int | None = None,
+    seed: int = 0,
+    fit: bool = True,
+    n_simulated: int | None = None,
+    n_bootstrap: int = 100,
+    cancel: Cancel | None = None,
+) -> Comparison:
+    """Compare traces without a movie with a model, the baselines and (with `fit`) the fitted model.
+
+    The model supplies camera, photophysics and the share of light that `profile` collects; molecules are
+    simulated far apart, with any place within their pixel.
+
+    Parameters
+    ----------
+    traces : (molecule, frame) in `unit`: "photoelectrons", "photons" or "adu"
+    profile : what the traces hold: "brightest_pixel", "sum" or "psf"
+    background_subtracted : whether the local background was taken off the traces
+    window, best : cut measured and simulated traces alike to the `window` frames before bleaching in which
+        they are active, and keep the `best` of them
+    n_simulated : simulated molecules (None: as many as measured, at least 200)
+    """
+    electrons = to_photoelectrons(traces, model, unit)
+    n_frames = electrons.shape[1]
+    timing = model.acquisition.model_copy(update={"n_frames": n_frames})
+    model = model.model_copy(update={"acquisition": timing})
+    options = Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=background_subtracted)  # type: ignore[arg-type]
+    n = n_simulated or max(200, len(electrons))
+    far, places = apart(model, n, options, seed)
+
+    def measured_like(values: NDArray[np.floating]) -> Sample:
+        return _cut(values, model, background_subtracted, window, best)
+
+    def simulate(candidate: Model) -> NDArray[np.float32]:
+        spread = candidate.model_copy(update={"camera": far.camera, "acquisition": far.acquisition})
+        one = acquisitions(spread, places, seed)["mufasa"]
+        return extract_simulated(one, options, places, cancel).all_traces
+
+    samples = {"measured": measured_like(electrons)}
+    if len(samples["measured"].traces) == 0:
+        raise MufasaError(f"no trace is active in the {window} frames before bleaching: choose a smaller window")
+    for name, acquisition in acquisitions(far, places, seed).items():
+        samples[name] = measured_like(extract_simulated(acquisition, options, places, cancel).all_traces)
+    fitted = None
+    if fit:
+        fitted = fit_model(electrons, model, simulate, background_subtracted=background_subtracted)
+        spread = fitted.model.model_copy(update={"camera": far.camera, "acquisition": far.acquisition})
+        one = acquisitions(spread, places, seed + 10)["mufasa"]
+        samples["fitted"] = measured_like(extract_simulated(one, options, places, cancel).all_traces)
+    notes = [f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0]
+    return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
+
+
+def to_photoelectrons(traces: NDArray[Any], model: Model, unit: str) -> NDArray[np.float64]:
+    """Traces (molecule, frame) in photoelectrons from ADU (as recorded, baseline included) or photons."""
+    from napari_mufasa import camera as detector
+
+    array = np.asarray(traces)
+    if array.ndim != 2 or array.size == 0:
+        raise MufasaError(f"traces have shape {array.shape}: needs a non-empty (molecule, frame) array")
+    if not np.isfinite(array).all():
+        raise MufasaError("traces have values that are not finite: drop or fill those frames first")
+    if unit == "photoelectrons":
+        return array.astype(np.float64)
+    if unit == "photons":
+        return array * model.camera.quantum_efficiency
+    if unit == "adu":
+        maps = {"offset_map_adu": None, "gain_map": None, "variance_map_e2": None}
+        plain = model.camera.model_copy(update=maps)
+        return detector.photoelectrons(array[:, None, :], plain)[:, 0].astype(np.float64)
+    raise MufasaError(f"unit {unit!r} is unknown: choose 'adu', 'photoelectrons' or 'photons'")
+
+
+_NOT_MOLECULES = ("narrower than the PSF", "never on")
+
+
+def _in_the_measurement(model: Model, shape: tuple[int, ...]) -> Model:
+    """The model with the length and size of the measurement."""
+    update = {"n_frames": int(shape[0]), "shape_px": (int(shape[1]), int(shape[2]))}
+    return model.model_copy(update={"acquisition": model.acquisition.model_copy(update=update)})
+
+
+def _sample(traces: TraceSet) -> Sample:
+    return Sample(traces.traces, dynamics(traces.traces))
+
+
+def _cut(
+    values: NDArray[np.floating], model: Model, background_subtracted: bool, window: int | None, best: int | None
+) -> Sample:
+    level = values if background_subtracted else values - _background_e(model)
+    dyn = dynamics(level)
+    if window is not None:
+        start = windows(dyn, window)
+        rows = np.flatnonzero(start >= 0)
+        if best is not None:
+            rows = rows[np.argsort(-dyn.snr[rows], kind="stable")[:best]]
+        values = np.array([values[i, start[i] : start[i] + window] for i in rows]).reshape(-1, window)
+        level = values if background_subtracted else values - _background_e(model)
+    elif best is not None:
+        values = values[np.argsort(-dyn.snr, kind="stable")[:best]]
+        level = values if background_subtracted else values - _background_e(model)
+    return Sample(values, dynamics(level))
+
+
+def _background_e(model: Model) -> float:
+    camera = model.camera
+    return camera.quantum_efficiency * model.optics.background_photons_per_px + camera.clock_induced_charge_e
+
+
+def _compare(
+    samples: dict[str, Sample], model: Model, unit: str, seed: int, n_bootstrap: int, fitted: Fit | None,
+    measured: TraceSet | None, notes: list[str],
+) -> Comparison:  # fmt: skip
+    rng = np.random.default_rng(seed)
+    real = samples["measured"].traces
+    w1: dict[str, Any] = {}
+    w1_traces: dict[str, Any] = {}
+    interval = {}
+    for name, sample in samples.items():
+        if name == "measured":
+            continue
+        if len(sample.traces) == 0:
+            w1[name] = w1_traces[name] = None
+            continue
+        w1[name] = wasserstein(real, sample.traces)
+        w1_traces[name] = wasserstein(real, sample.traces, rows="traces")
+        interval[name] = bootstrap_interval(real, sample.traces, n=n_bootstrap, rng=rng)
+    bottom = floor(real, rng=rng)
+    w1 |= {"floor": bottom.value, "unit": f"{unit} per frame"}
+    w1_traces |= {"floor": floor(real, rows="traces", n_splits=20, rng=rng).value, "unit": f"{unit}, whole traces"}
+    shown = {name: s for name, s in samples.items() if len(s.traces)}
+    curves = distributions(shown, unit, model.acquisition.interval_s)
+    return Comparison(w1, w1_traces, interval, bottom, samples, curves, model, fitted, measured, notes)
+
+
+def _most_frequent(measured: TraceSet) -> str:
+    reasons = measured.molecules["reason"].str.replace(r"[\d.]+", "…", regex=True).value_counts()
+    return "none found" if reasons.empty else f"mostly: {reasons.index[0]}"
+
+
+class _Steps:
+    """Counts whole steps for the progress bar and stops between them."""
+
+    def __init__(self, progress: Progress | None, total: int, cancel: Cancel | None) -> None:
+        self.progress, self.total, self.cancel, self.n = progress, total, cancel, 0
+
+    def done(self) -> None:
+        self.n += 1
+        if self.progress is not None:
+            self.progress(self.n, self.total)
+        if self.cancel is not None and self.cancel():
+            raise Cancelled

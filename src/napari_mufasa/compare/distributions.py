@@ -1,0 +1,123 @@
+"""What a comparison shows beside one number: distributions of measured and simulated traces (SPEC.md §7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.traces.select import Dynamics
+
+MAX_LAG = 50  # frames
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """One curve, measured and simulated on the same x. `curves` maps a model's name to (x,) values."""
+
+    name: str
+    x: NDArray[np.float64]
+    x_label: str
+    y_label: str
+    curves: dict[str, NDArray[np.float64]]
+
+    def as_dict(self) -> dict[str, Any]:
+        curves = {name: values.tolist() for name, values in self.curves.items()}
+        return {"x": self.x.tolist(), "x_label": self.x_label, "y_label": self.y_label, **curves}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Traces (molecule, frame) of one origin with what they show; rows agree."""
+
+    traces: NDArray[np.floating]
+    dynamics: Dynamics
+
+
+def distributions(samples: dict[str, Sample], unit: str, interval_s: float = 1.0) -> dict[str, Distribution]:
+    """All distributions of the named samples ("measured" first), each on one common x axis.
+
+    counts (density), autocorrelation (of lit frames), on_times and off_times (share of intervals longer
+    than t), survival (share not yet bleached), levels (density of on levels).
+    """
+    counts = {name: s.traces.ravel() for name, s in samples.items()}
+    levels = {name: s.dynamics.on_level for name, s in samples.items()}
+    n_frames = max(s.traces.shape[1] for s in samples.values())
+    lags = np.arange(min(MAX_LAG, n_frames - 1) + 1)
+    frames = np.arange(n_frames)
+    result = [
+        _histograms("counts", counts, f"signal per frame ({unit})"),
+        Distribution(
+            "autocorrelation", lags * interval_s, "lag (s)", "autocorrelation",
+            {name: autocorrelation(s, len(lags)) for name, s in samples.items()},
+        ),
+        Distribution(
+            "on_times", frames * interval_s, "on time (s)", "share longer",
+            {name: _longer(dwell_frames(s.dynamics.lit, True), n_frames) for name, s in samples.items()},
+        ),
+        Distribution(
+            "off_times", frames * interval_s, "off time (s)", "share longer",
+            {name: _longer(dwell_frames(s.dynamics.lit, False), n_frames) for name, s in samples.items()},
+        ),
+        Distribution(
+            "survival", frames * interval_s, "time (s)", "share not bleached",
+            {name: survival(s.dynamics, n_frames) for name, s in samples.items()},
+        ),
+        _histograms("levels", levels, f"on level ({unit})"),
+    ]  # fmt: skip
+    return {d.name: d for d in result}
+
+
+def autocorrelation(sample: Sample, n_lags: int) -> NDArray[np.float64]:
+    """Autocorrelation of the traces until bleaching at lags 0 … n_lags − 1, weighted by their length.
+
+    Each trace's mean is taken off; the bias this makes (−1/T) is the same in measurement and simulation.
+    """
+    total, weight = np.zeros(n_lags), np.zeros(n_lags)
+    ends = np.where(sample.dynamics.bleaching_frame >= 0, sample.dynamics.bleaching_frame, sample.traces.shape[1])
+    for trace, end in zip(sample.traces, ends, strict=True):
+        part = np.asarray(trace[:end], dtype=np.float64)
+        if len(part) < 3 or part.std() == 0:
+            continue
+        part = (part - part.mean()) / part.std()
+        for lag in range(min(n_lags, len(part) - 1)):
+            total[lag] += float(part[: len(part) - lag] @ part[lag:])
+            weight[lag] += len(part) - lag
+    return np.divide(total, weight, out=np.full(n_lags, np.nan), where=weight > 0)
+
+
+def dwell_frames(lit: NDArray[np.bool_], state: bool) -> NDArray[np.int64]:
+    """Lengths in frames of complete intervals in a state (both ends seen); (interval,)."""
+    found = []
+    for row in lit:
+        edges = np.flatnonzero(np.diff(row.astype(np.int8))) + 1
+        if len(edges) >= 2:
+            lengths, values = np.diff(edges), row[edges[:-1]]
+            found.append(lengths[values == state])
+    return np.concatenate(found).astype(np.int64) if found else np.empty(0, np.int64)
+
+
+def survival(dynamics: Dynamics, n_frames: int) -> NDArray[np.float64]:
+    """Share of molecules not bleached in each frame."""
+    bleached = dynamics.bleaching_frame
+    end = np.where(bleached >= 0, bleached, n_frames + 1)
+    return np.asarray((end[:, None] > np.arange(n_frames)).mean(axis=0)) if len(end) else np.full(n_frames, np.nan)
+
+
+def _longer(lengths: NDArray[np.int64], n_frames: int) -> NDArray[np.float64]:
+    if len(lengths) == 0:
+        return np.full(n_frames, np.nan)
+    return np.asarray((lengths[:, None] > np.arange(n_frames)).mean(axis=0))
+
+
+def _histograms(name: str, values: dict[str, NDArray[np.floating]], x_label: str) -> Distribution:
+    together = np.concatenate([v for v in values.values() if len(v)])
+    low, high = np.percentile(together, [0.05, 99.95])
+    first = next(iter(values.values()))
+    n_bins = int(np.clip(2 * len(first) ** (1 / 3), 10, 80))  # Rice's rule on the measurement
+    edges = np.linspace(low, high if high > low else low + 1.0, n_bins + 1)
+    width = edges[1] - edges[0]
+    curves = {k: np.histogram(v, edges)[0] / max(len(v), 1) / width for k, v in values.items()}
+    return Distribution(name, (edges[:-1] + edges[1:]) / 2, x_label, "density", curves)
