@@ -208,7 +208,7 @@ def test_a_missing_model_file(tmp_path):
 
 
 def test_unknown_preset_lists_the_known():
-    with pytest.raises(MufasaError, match="'GFP'.*PALM, STORM, FF, Blinking, EGFP, Alexa647-STORM"):
+    with pytest.raises(MufasaError, match=r"'GFP'.*PALM, STORM, FF, Blinking, EGFP, Alexa647-STORM"):
         preset("GFP")
 
 
@@ -221,7 +221,7 @@ def test_values_by_name():
     for path in ("optics.fwhm", "lens.fwhm", "effects.4.distance_px", "protocol.name", "effects.x.y", "nothing"):
         with pytest.raises(MufasaError, match=f"no {path}"):
             model.with_values({path: 1})
-    with pytest.raises(MufasaError, match="optics.psf_fwhm_nm = -3"):
+    with pytest.raises(MufasaError, match=r"optics\.psf_fwhm_nm = -3"):
         model.with_values({"optics.psf_fwhm_nm": -3})
 
 

@@ -24,7 +24,7 @@ def test_minimum_distance_is_kept():
 
 
 def test_a_field_that_is_too_small_is_refused():
-    with pytest.raises(MufasaError, match="100 molecules at least 10.0 px apart do not fit"):
+    with pytest.raises(MufasaError, match=r"100 molecules at least 10\.0 px apart do not fit"):
         scatter(100, (32, 32), 10.0, np.random.default_rng(3))
 
 
