@@ -142,7 +142,7 @@ def _spot(model: Model, detected_e: float) -> _Spot:
 
     camera = model.camera
     offsets_px = np.arange(-50, 51)
-    edge = erf((np.stack([offsets_px - 0.5, offsets_px + 0.5]) / (np.sqrt(2) * model.sigma_px)))
+    edge = erf(np.stack([offsets_px - 0.5, offsets_px + 0.5]) / (np.sqrt(2) * model.sigma_px))
     line = (edge[1] - edge[0]) / 2
     centre = float(line[50] ** 2)
     n_pixels = 1 / float(np.sum(line**2) ** 2)  # noise-equivalent number of pixels of the PSF-weighted sum

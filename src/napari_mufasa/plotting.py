@@ -23,11 +23,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.wording import effect_title, number, p_value_text, parameter_label
+
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
+    from napari_mufasa.compare.distributions import Distribution
     from napari_mufasa.discover.result import Candidate, Curve, Report
 
 Theme = Literal["dark", "light"]
@@ -63,7 +66,7 @@ def style(theme: Theme | str = "light") -> Iterator[Palette]:
     palette = PALETTES["dark" if theme == "dark" else "light"]
     token = _palette.set(palette)
     try:
-        with rc_context(_rc(palette)):
+        with rc_context(_rc(palette)):  # type: ignore[arg-type,unused-ignore]
             yield palette
     finally:
         _palette.reset(token)
@@ -122,7 +125,8 @@ def staircase(ax: Axes, report: Report) -> None:
     if wrong:
         at = min(1, len(steps) - 1)
         errors = [float(c.error_after or 0.0) for c in wrong]
-        ax.plot([at + 0.22] * len(wrong), errors, "x", color=p.muted, ms=6, label="instead: " + _listed(wrong))
+        label = "best wrong effects" if _fit(ax) < 60 else "instead: " + _listed(wrong)
+        ax.plot([at + 0.22] * len(wrong), errors, "x", color=p.muted, ms=6, label=label)
     floor = report.error.get("floor")
     if floor is not None:
         ax.axhline(floor, color=p.floor, ls="--", lw=1.2, label=f"floor {floor:.2f}: noise alone")
@@ -145,20 +149,19 @@ def evidence(ax: Axes, ranking: Sequence[Candidate], threshold: float | None = N
     rival = [c.effect in alike and c is not best for c in shown]
     colours = [p.after if c is best else p.before if r else p.muted for c, r in zip(shown, rival, strict=True)]
     values = [max(float(c.evidence), 0.0) for c in shown]
-    bars = ax.barh(range(len(shown)), values, color=colours, height=0.68)
+    bars = ax.barh(range(len(shown)), values, color=colours, height=0.4)
     for bar, candidate in zip(bars, shown, strict=True):
         ax.annotate(
-            f" {_p_text(candidate.p_value)}", (bar.get_width(), bar.get_y() + bar.get_height() / 2),
+            f" {p_value_text(candidate.p_value)}", (bar.get_width(), bar.get_y() + bar.get_height() / 2),
             va="center", fontsize=7, color=p.text,
         )  # fmt: skip
-    ax.set_yticks(range(len(shown)), [effect_title(c.effect) for c in shown])
-    ax.set_xlim(0, max([*values, threshold or 0.0, 1e-9]) * 1.28)
+    _rows(ax, [effect_title(c.effect) for c in shown])
+    ax.set_xlim(0, max([*values, threshold or 0.0, 1e-9]) * 1.3)
     if threshold is not None:
-        ax.axvline(threshold, color=p.bad, ls="--", lw=1.2, label="needed for an alarm")
+        ax.axvline(threshold, color=p.bad, ls="--", lw=1.2, zorder=0, label="needed for an alarm")
     if any(rival):
         ax.barh([0], [0], color=p.before, label="cannot be told from the best")
     ax.set_xlabel("evidence over “nothing missing”")
-    ax.tick_params(axis="y", length=0)
     _title(ax, "What explains the misfit")
     _legend(ax, loc="lower right")
 
@@ -185,9 +188,7 @@ def curves(parent: Figure | SubFigure, shown: Sequence[Curve], columns: int = 2)
     axes = _sheet(parent, len(shown), columns)
     for ax, each in zip(axes, shown, strict=False):
         curve(ax, each, legend=False)
-    if shown:
-        handles, labels = axes[0].get_legend_handles_labels()
-        parent.legend(handles, labels, loc="outside lower center", ncols=3)  # type: ignore[union-attr]
+    _common_legend(parent, axes)
 
 
 def z_scores(ax: Axes, observables: pd.DataFrame, top: int = 10) -> None:
@@ -203,22 +204,19 @@ def z_scores(ax: Axes, observables: pd.DataFrame, top: int = 10) -> None:
     ax.hlines(y, before, after, color=p.muted, lw=1)
     ax.plot(before, y, "o", color=p.before, ms=5, label="base model")
     ax.plot(after, y, "o", color=p.after, ms=5, label="completed model")
-    ax.set_yticks(y, [textwrap.fill(str(title), 34) for title in table["title"]])
+    _rows(ax, [str(title) for title in table["title"]])
     if np.nanmax(np.abs(before)) > 50:
         ax.set_xscale("symlog", linthresh=5)
-    ax.set_xlabel("measured − model, in standard deviations")
-    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel("measured − model (sd)")
     _title(ax, "Where the model fails")
-    _legend(ax)
+    _legend(ax, loc="lower right")
 
 
 def strengths(parent: Figure | SubFigure, candidate: Candidate) -> None:
     """Each fitted number of an effect with its 95 % interval, on the range of plausible values."""
-    from napari_mufasa.effects import effect_class
-
     p = _palette.get()
-    ranges = effect_class(candidate.effect).plausible()
-    names = [name for name, value in candidate.parameters.items() if name in ranges and isinstance(value, (int, float))]
+    ranges = _ranges(candidate)
+    names = list(ranges)
     axes = _sheet(parent, len(names), 1)
     for ax, name in zip(axes, names, strict=True):
         low, high, log = ranges[name]
@@ -238,6 +236,20 @@ def strengths(parent: Figure | SubFigure, candidate: Candidate) -> None:
         _title(ax, f"{label} = {number(value, sd)} {unit}".strip())
     if len(axes):
         axes[-1].set_xlabel("grey: plausible range · bar: 95 % interval")
+
+
+def count_strengths(candidate: Candidate) -> int:
+    """How many numbers `strengths` has to draw."""
+    return len(_ranges(candidate))
+
+
+def _ranges(candidate: Candidate) -> dict[str, tuple[float, float, bool]]:
+    """Plausible range of every number found, by name; empty for an effect that is not installed."""
+    from napari_mufasa.effects import catalogue
+
+    effect = catalogue().get(candidate.effect)
+    found = effect.plausible() if effect is not None else {}
+    return {name: found[name] for name, value in candidate.parameters.items() if name in found and value is not None}
 
 
 # --- traces and comparison ---------------------------------------------------------------------------------
@@ -274,59 +286,66 @@ def contact_sheet(
     parent.suptitle(f"Traces{more}", fontsize=9, fontweight="bold", x=0.02, ha="left")
 
 
-def histograms(
-    ax: Axes, measured: NDArray[Any], simulated: Mapping[str, NDArray[Any]], w1: Mapping[str, float] | None = None,
-    unit: str = "photoelectrons per frame",
-) -> None:  # fmt: skip
-    """Distribution of all per-frame counts, measured against simulated, each with its W1."""
-    p = _palette.get()
-    values = np.asarray(measured, float).ravel()
-    everything = np.concatenate([values, *(np.asarray(s, float).ravel() for s in simulated.values())])
-    everything = everything[np.isfinite(everything)]
-    if everything.size == 0:
-        return _empty(ax, "no counts")
-    low, high = np.quantile(everything, [0.001, 0.999])
-    edges = np.linspace(low, high if high > low else low + 1, 61)
-    ax.hist(values, edges, density=True, color=p.muted, alpha=0.45, label="measured")
-    for (name, sample), colour in zip(simulated.items(), _cycle(), strict=False):
-        label = f"{name}, W1 = {w1[name.lower()]:.3g}" if w1 and name.lower() in w1 else name
-        heights, _ = np.histogram(np.asarray(sample, float).ravel(), edges, density=True)
-        ax.stairs(heights, edges, color=colour, lw=1.4, label=label)
-    ax.set_xlabel(unit)
-    ax.set_ylabel("probability density")
-    _title(ax, "Counts, measured and simulated")
-    _legend(ax)
-
-
 def w1_bars(ax: Axes, w1: Mapping[str, Any]) -> None:
     """W1 of each model with the floor that no model can beat."""
     p = _palette.get()
-    names = {"mufasa": "this model", "poisson": "Poisson", "sofi": "two-state (SOFI)"}
-    shown = [(label, float(w1[key])) for key, label in names.items() if w1.get(key) is not None][::-1]
-    colours = [p.after if label == "this model" else p.muted for label, _ in shown]
-    ax.barh([label for label, _ in shown], [value for _, value in shown], color=colours, height=0.6)
+    shown = [(label, float(w1[key])) for key, label in _MODELS.items() if w1.get(key) is not None][::-1]
+    if not shown:
+        return _empty(ax, "nothing to compare")
+    colours = [p.after if label.startswith("this model") else p.muted for label, _ in shown]
+    ax.barh(range(len(shown)), [value for _, value in shown], color=colours, height=0.4)
+    _rows(ax, [label for label, _ in shown])
     for i, (_, value) in enumerate(shown):
         ax.annotate(f" {value:.3g}", (value, i), va="center", fontsize=7.5)
     if w1.get("floor") is not None:
-        ax.axvline(float(w1["floor"]), color=p.floor, ls="--", lw=1.2, label=f"floor {float(w1['floor']):.3g}")
+        ax.axvline(
+            float(w1["floor"]), color=p.floor, ls="--", lw=1.2, zorder=0, label=f"floor {float(w1['floor']):.3g}"
+        )
     ax.set_xlim(0, max([value for _, value in shown] + [float(w1.get("floor") or 0), 1e-9]) * 1.25)
-    ax.set_xlabel(textwrap.fill(f"W1 distance ({w1.get('unit', '')})", 44))
-    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel(textwrap.fill(f"W1 distance ({w1.get('unit', '')})", _fit(ax)))
     _title(ax, "Distance to the measurement")
-    _legend(ax)
+    _legend(ax, loc="lower right")
 
 
-def lines(
-    ax: Axes, x: NDArray[Any], series: Mapping[str, NDArray[Any]], *, x_label: str, y_label: str, title: str
-) -> None:
-    """Statistics as curves, such as autocorrelation or survival; the first series is the measured one."""
+def distribution(ax: Axes, shown: Distribution, w1: Mapping[str, Any] | None = None, legend: bool = True) -> None:
+    """One distribution of measured and simulated traces; with `w1`, each model's distance in the legend."""
     p = _palette.get()
-    for i, ((name, y), colour) in enumerate(zip(series.items(), [p.measured, *_cycle()], strict=False)):
-        ax.plot(x, y, "o" if i == 0 else "-", ms=3, color=colour, label=name, zorder=3 if i == 0 else 2)
-    ax.set_xlabel(x_label)
-    ax.set_ylabel(y_label)
-    _title(ax, title)
-    _legend(ax)
+    density = shown.y_label == "density"
+    for (name, y), colour in zip(_by_model(shown.curves), _cycle(), strict=False):
+        distance = w1.get(name) if w1 else None
+        label = _MODELS.get(name, name) + (f", W1 = {distance:.3g}" if isinstance(distance, float) else "")
+        if name == "measured" and density:
+            ax.fill_between(shown.x, y, step="mid", color=p.muted, alpha=0.45, lw=0, label=label)
+        elif name == "measured":
+            every = max(1, len(shown.x) // 40)
+            ax.plot(shown.x, y, "o", ms=2.8, color=p.measured, label=label, zorder=3, markevery=every)
+        else:
+            ax.plot(shown.x, y, color=colour, lw=1.3, label=label, drawstyle="steps-mid" if density else "default")
+    ax.set_xlabel(textwrap.fill(shown.x_label, _fit(ax)))
+    ax.set_ylabel(shown.y_label)
+    _title(ax, shown.name.replace("_", " ").capitalize())
+    if legend:
+        _legend(ax)
+
+
+def distributions(parent: Figure | SubFigure, shown: Sequence[Distribution], columns: int = 2) -> None:
+    """Several distributions on one sheet with one legend."""
+    axes = _sheet(parent, len(shown), columns)
+    for ax, each in zip(axes, shown, strict=False):
+        distribution(ax, each, legend=False)
+    _common_legend(parent, axes)
+
+
+_MODELS = {
+    "measured": "measured", "mufasa": "this model", "fitted": "this model, fitted", "poisson": "Poisson",
+    "sofi": "two-state (SOFI)",
+}  # fmt: skip
+
+
+def _by_model(curves: Mapping[str, NDArray[Any]]) -> list[tuple[str, NDArray[Any]]]:
+    """In the order of `_MODELS`, so that a model has the same colour in every figure."""
+    order = [*_MODELS, *curves]
+    return sorted(curves.items(), key=lambda item: order.index(item[0]))
 
 
 # --- movies ------------------------------------------------------------------------------------------------
@@ -365,43 +384,7 @@ def molecules(ax: Axes, picture: NDArray[Any], table: pd.DataFrame, title: str =
         ax.legend(loc="upper left", bbox_to_anchor=(0, 0), ncols=2)
 
 
-# --- words and helpers -------------------------------------------------------------------------------------
-
-
-def effect_title(kind: str) -> str:
-    """What users call an effect; its identifier where it is not installed."""
-    from napari_mufasa.effects import effect_class
-
-    try:
-        return effect_class(kind).title
-    except ValueError:
-        return kind.replace("_", " ")
-
-
-def parameter_label(kind: str, name: str) -> tuple[str, str]:
-    """A parameter in words, and its unit: ("distance", "px")."""
-    from napari_mufasa.effects import effect_class
-
-    try:
-        unit = effect_class(kind).unit(name)
-    except (ValueError, KeyError):
-        return name.replace("_", " "), ""
-    suffix = {"1/s": "_per_s", "px²/frame": "_px2_per_frame", "%": "_percent"}.get(unit, f"_{unit}")
-    return name.removesuffix(suffix).replace("_", " "), unit
-
-
-def number(value: float, sd: float | None = None) -> str:
-    """A value with as many digits as its uncertainty allows."""
-    if sd is None or not np.isfinite(sd) or sd <= 0:
-        return f"{value:.3g}"
-    digits = int(np.clip(1 - np.floor(np.log10(sd)), 0, 8))
-    return f"{value:.{digits}f} ± {sd:.{digits}f}"
-
-
-def _p_text(p_value: float | None) -> str:
-    if p_value is None or not np.isfinite(p_value):
-        return ""
-    return f"p = {p_value:.2g}" if p_value >= 1e-4 else "p < 0.0001"
+# --- helpers -------------------------------------------------------------------------------------
 
 
 def _listed(candidates: Sequence[Candidate]) -> str:
@@ -410,7 +393,7 @@ def _listed(candidates: Sequence[Candidate]) -> str:
 
 def _cycle() -> tuple[str, ...]:
     p = _palette.get()
-    return p.after, p.before, p.floor, p.bad
+    return p.measured, p.after, p.floor, p.before, p.bad
 
 
 def _fit(ax: Axes, columns: int = 1) -> int:
@@ -424,10 +407,30 @@ def _title(ax: Axes, text: str) -> None:
     ax.set_title(textwrap.fill(text, _fit(ax)) if text else "")
 
 
-def _legend(ax: Axes, loc: str = "best") -> None:
+def _legend(ax: Axes, loc: Any = "best") -> None:
     handles, labels = ax.get_legend_handles_labels()
     if handles:
         ax.legend(handles, [textwrap.fill(label, max(24, _fit(ax) * 2 // 3)) for label in labels], loc=loc)
+
+
+def _rows(ax: Axes, labels: Sequence[str]) -> None:
+    """Names above their bars, inside the Axes, where they fit at any width."""
+    p = _palette.get()
+    box = {"facecolor": p.background, "edgecolor": "none", "alpha": 0.75, "pad": 0.4}
+    for y, label in enumerate(labels):
+        ax.annotate(
+            " " + label, (0, y + 0.24), xycoords=ax.get_yaxis_transform(), va="bottom", fontsize=7.5,
+            color=p.text, bbox=box,
+        )  # fmt: skip
+    ax.set_yticks([])
+    ax.set_ylim(-0.6, len(labels) - 0.25)
+
+
+def _common_legend(parent: Figure | SubFigure, axes: Any) -> None:
+    if len(axes):
+        handles, labels = axes[0].get_legend_handles_labels()
+        width_in = parent.bbox.width / parent.figure.dpi
+        parent.legend(handles, labels, loc="outside lower center", ncols=max(2, int(width_in / 1.3)))
 
 
 def _empty(ax: Axes, words: str) -> None:
@@ -443,7 +446,7 @@ def _image(ax: Axes, picture: NDArray[Any], low: float, high: float) -> Any:
     return ax.imshow(picture, vmin=low, vmax=high if high > low else low + 1, interpolation="nearest")
 
 
-def _sheet(parent: Figure | SubFigure, count: int, columns: int, **shared: bool) -> Any:
+def _sheet(parent: Figure | SubFigure, count: int, columns: int, **shared: Any) -> Any:
     """`count` Axes in rows of `columns`; the rest of the last row stays empty."""
     if count == 0:
         _empty(parent.add_subplot(), "nothing to show")

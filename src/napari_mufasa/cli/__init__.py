@@ -40,7 +40,7 @@ def _run(arguments: list[str], debug: bool) -> int:
     except MufasaError as error:
         return _say(str(error), BAD_INPUT, debug)
     except BrokenPipeError:  # the reader of our output (head, less) has left
-        sys.stdout = None  # type: ignore[assignment]
+        sys.stdout = None
         return DONE
     except Exception as error:
         if _is_usage_error(error):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,10 +13,29 @@ from napari_mufasa.cli import console
 from napari_mufasa.cli.making import ModelFile, Seed
 from napari_mufasa.errors import MufasaError
 
+if TYPE_CHECKING:
+    from napari_mufasa.figures import Drawing
+
 MovieFile = Annotated[Path, typer.Argument(metavar="MOVIE", help="TIFF, OME-TIFF or zarr, (frame, y, x).")]
 DarkFile = Annotated[Path | None, typer.Option("--dark", metavar="DARK", help="Frames without light.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write into.")]
+Window = Annotated[
+    int | None, typer.Option("--window", min=1, metavar="N", help="Keep N frames just before each bleaching.")
+]
+Best = Annotated[int | None, typer.Option("--best", min=1, metavar="N", help="Keep the N best molecules.")]
 IN_MEMORY_BYTES = 2**30
+
+
+class UnitName(StrEnum):
+    photoelectrons = "photoelectrons"
+    photons = "photons"
+    adu = "adu"
+
+
+class ProfileName(StrEnum):
+    psf = "psf"
+    sum = "sum"
+    brightest_pixel = "brightest_pixel"
 
 
 def denoise(
@@ -33,15 +54,118 @@ def denoise(
     console.check_movie_out(out)
     believed = Model.from_json(model)
     source = io.read_movie(movie)
-    shape = tuple(int(n) for n in source.data.shape)
-    options = {"method": method} if method is not None else {}
+    n_frames, height, width = source.data.shape
+    options: dict[str, Any] = {} if method is None else {"method": method}
     size_nm = believed.acquisition.pixel_size_nm
-    with console.scratch(out, shape, np.float32, in_memory=4 * int(np.prod(shape)) <= IN_MEMORY_BYTES) as result:
+    in_memory = 4 * n_frames * height * width <= IN_MEMORY_BYTES
+    with console.scratch(out, (n_frames, height, width), np.float32, in_memory=in_memory) as result:
         with console.working("denoising") as work:
             run(source.data, believed.camera, out=result, **options, **work.both())
-        blocks = (result[start : start + 64] for start in range(0, shape[0], 64))
-        io.write_movie(out, blocks, shape, np.float32, pixel_size_nm=size_nm)
-    typer.echo(f"{out}: {shape[0]} frames of {shape[1]} × {shape[2]} px, photons per pixel and frame")
+        blocks = (result[start : start + 64] for start in range(0, n_frames, 64))
+        io.write_movie(out, blocks, (n_frames, height, width), np.float32, pixel_size_nm=size_nm)
+    typer.echo(f"{out}: {n_frames} frames of {height} × {width} px, photons per pixel and frame")
 
 
-VERBS = (denoise,)
+def traces(
+    movie: MovieFile,
+    model: ModelFile,
+    out: OutFolder,
+    dark: DarkFile = None,
+    window: Window = None,
+    best: Best = None,
+) -> None:
+    """Find the molecules and write their traces, all candidates with reasons, and a figure."""
+    from napari_mufasa import figures, io, plotting, trace_files
+    from napari_mufasa.model import Model
+    from napari_mufasa.traces import extract_traces
+
+    console.check_folder_out(out)
+    believed = Model.from_json(model)
+    source = io.read_movie(movie)
+    background = None if dark is None else io.load(dark)
+    with console.working("traces") as work:
+        found = extract_traces(
+            source.data, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
+            **work.both(),
+        )  # fmt: skip
+    picture = figures.mean_image(source.data)
+    kept = found.molecules["molecule"][found.kept].tolist()
+    drawings = [
+        figures.Drawing(
+            "molecules", "", (5.4, 5.0), lambda f: plotting.molecules(f.add_subplot(), picture, found.molecules)
+        ),
+        figures.Drawing("traces", "", (7.2, 5.4), lambda f: plotting.contact_sheet(f, found.traces, kept)),
+    ]
+    with console.folder(out) as folder:
+        trace_files.write_traces(folder, found)
+        _write_figures(folder, drawings)
+    typer.echo(f"{out}: {len(kept)} molecules kept of {len(found.molecules)} candidates")
+    reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
+    for reason, count in reasons.value_counts().head(6).items():
+        typer.echo(f"  {count} × {reason}")
+
+
+def compare(
+    model: ModelFile,
+    out: OutFolder,
+    movie: Annotated[Path | None, typer.Argument(metavar="[MOVIE]", help="A movie, or --traces instead.")] = None,
+    traces: Annotated[
+        Path | None, typer.Option("--traces", metavar="FILE", help="traces.csv, or a TIFF (frame, molecule) in ADU.")
+    ] = None,
+    dark: DarkFile = None,
+    unit: Annotated[UnitName | None, typer.Option("--unit", help="Of the traces; default: as the file says.")] = None,
+    profile: Annotated[
+        ProfileName | None, typer.Option("--profile", help="What each trace holds; default: psf, TIFF: brightest_pixel")
+    ] = None,
+    with_background: Annotated[
+        bool | None,
+        typer.Option(
+            "--with-background/--without-background", help="Is the background in the traces? Default: in a TIFF only."
+        ),
+    ] = None,
+    window: Window = None,
+    best: Best = None,
+    seed: Seed = 0,
+) -> None:
+    """Measure the distance W1 between measurement and model, with baselines and floor."""
+    from napari_mufasa import compare as comparing
+    from napari_mufasa import figures, io, trace_files
+    from napari_mufasa.model import Model
+
+    if (movie is None) == (traces is None):
+        raise MufasaError("give either a MOVIE or --traces FILE")
+    console.check_folder_out(out)
+    believed = Model.from_json(model)
+    cut = {"window": window, "best": best}
+    if movie is not None:
+        recorded = io.load(movie)
+        background = None if dark is None else io.load(dark)
+        with console.working("comparing") as work:
+            result = comparing.compare_movie(recorded, believed, background, seed=seed, **cut, **work.both())  # type: ignore[arg-type]
+    else:
+        if dark is not None:
+            raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
+        values, found_unit = trace_files.read_traces(traces or Path())
+        raw = found_unit == "adu"
+        with console.working("comparing") as work:
+            result = comparing.compare_traces(
+                values, believed, unit=unit.value if unit else found_unit,
+                profile=profile.value if profile else ("brightest_pixel" if raw else "psf"),
+                background_subtracted=not (raw if with_background is None else with_background),
+                window=window, best=best, seed=seed, cancel=work.cancel,
+            )  # fmt: skip
+    with console.folder(out) as folder:
+        io.write_json(folder / "report.json", result.report())
+        _write_figures(folder, figures.comparison_drawings(result))
+    rows = [(name, value) for name, value in result.w1.items() if name != "unit"]
+    console.print_table(("W1", str(result.w1["unit"])), rows)
+    for note in result.notes:
+        typer.echo(f"note: {note}")
+
+
+def _write_figures(folder: Path, drawings: Sequence[Drawing]) -> None:
+    for drawing in drawings:
+        (folder / f"{drawing.name}.png").write_bytes(drawing.render("light"))
+
+
+VERBS = (denoise, traces, compare)
