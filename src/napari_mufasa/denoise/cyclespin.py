@@ -53,49 +53,44 @@ def _margins(n: int, shift: int, block: int) -> tuple[int, int]:
 
 
 def _decimated(wide: Array, noise: let.Noise, depth: int, flat: bool) -> tuple[Array, float]:
-    """One shift: every band has its own least-squares weights; also the estimated risk saved per pixel."""
+    """One shift: every level has its own least-squares weights; also the estimated risk saved per pixel."""
     signs_all = haar.SIGNS_1D if flat else haar.SIGNS_2D
     low = haar.LOW_1D if flat else haar.LOW_2D
     a, v = wide, np.ascontiguousarray(noise.variance)
     kept = []
     saved = 0.0
     for level in range(depth):
-        children = [_child(a, k, flat) for k in range(2 if flat else 4)]
-        spreads = [_child(v, k, flat) for k in range(2 if flat else 4)]
-        s = sum(children[1:], children[0])
-        block_variance = sum(spreads[1:], spreads[0])
-        s_beside = haar.beside(s, 1, flat, False)
-        share = np.float32((0.5 if flat else 0.25) ** (level + 1))
-        bands = []
-        for signs in signs_all:
-            used = [(sign, c, q) for sign, c, q in zip(signs, children, spreads, strict=False)]
-            w = sum((sign * c for sign, c, _ in used[1:]), used[0][0] * used[0][1])
-            zero = np.zeros_like(w)
-            plus = sum((c for sign, c, _ in used if sign > 0), zero)
-            minus = sum((c for sign, c, _ in used if sign < 0), zero)
-            v_plus = sum((q for sign, _, q in used if sign > 0), zero)
-            v_minus = sum((q for sign, _, q in used if sign < 0), zero)
-            energy = haar.beside(w, 1, flat, True)
-            arguments = (w, s, s_beside, energy, block_variance, np.zeros((0, *w.shape), w.dtype),
-                         np.zeros(0, np.float32), noise.alpha)  # fmt: skip
-            planes = let.candidates(*arguments).reshape(let.SPATIAL, -1)
-            cross = let.cross_terms(*arguments, noise.stencil(), plus, minus, v_plus, v_minus)
-            system = let.System((planes @ planes.T).astype(np.float64), cross, 0.0, 0.0, w.size)
-            weights = system.solve(1e-4)
-            # The unthresholded coefficient (first weight 1) is the data themselves.
-            same = np.zeros(let.SPATIAL)
-            same[0] = 1.0
-            gain = system.risk(same) - system.risk(weights)
-            if gain <= 0:
-                weights, gain = same, 0.0
-            saved += gain * w.size * float(share) / wide.size
-            bands.append((weights.astype(np.float32) @ planes).reshape(w.shape))
-        kept.append(bands)
+        children = np.stack([_child(a, k, flat) for k in range(2 if flat else 4)])
+        spreads = np.stack([_child(v, k, flat) for k in range(2 if flat else 4)])
+        s, block_variance = children.sum(axis=0), spreads.sum(axis=0)
+        details = np.einsum("ok,krc->orc", signs_all[:, : len(children)], children)
+        bands = let.Bands(s, details, block_variance, noise, 1, flat, [], np.zeros(0, np.float32))
+        planes = np.stack([candidate[: bands.n] for candidate in bands.candidates()])
+        flattened = planes.reshape(len(planes), -1)
+        if flat:
+            children, spreads = (np.concatenate([part, np.zeros_like(part)]) for part in (children, spreads))
+        system = let.System(
+            gram=(flattened @ flattened.T).astype(np.float64),
+            cross=np.asarray(bands.terms(children, spreads)),
+            rest=0.0,
+            noise=bands.n * (noise.alpha * float(s.sum(dtype=np.float64)) + float(block_variance.sum())),
+            n_pixels=flattened.shape[1],
+        )
+        weights = system.solve()
+        # The coefficients as they are (first weight 1) are the data themselves.
+        same = np.zeros(len(planes))
+        same[0] = 1.0
+        gain = system.risk(same) - system.risk(weights) - system.optimism()
+        if gain <= 0:
+            weights, gain = same, 0.0
+        # A detail's square counts once for each pixel of its block in the image, over the block's size squared.
+        saved += gain * system.n_pixels * (0.5 if flat else 0.25) ** (level + 1) / wide.size
+        kept.append(np.einsum("k,korc->orc", weights.astype(np.float32), planes))
         a, v = s, block_variance
     return _rebuild(a, kept, signs_all, low, flat), saved
 
 
-def _rebuild(a: Array, kept: list[list[Array]], signs_all: Array, low: Array, flat: bool) -> Array:
+def _rebuild(a: Array, kept: list[Array], signs_all: Array, low: Array, flat: bool) -> Array:
     for bands in reversed(kept):
         rows, cols = a.shape
         below = np.empty((rows if flat else 2 * rows, 2 * cols), a.dtype)

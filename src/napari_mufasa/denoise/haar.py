@@ -85,7 +85,7 @@ def children_sum(a: Array, h: int, signs: Array, flat: bool) -> Array:
 
 @njit(cache=True, fastmath=True, nogil=True)
 def covered(b: Array, h: int, flat: bool) -> Array:
-    """``b`` over the number of blocks that cover each place and of children per block: the synthesis's adjoint weight."""
+    """``b`` over the number of children per block and of blocks that cover each place: the synthesis's weights."""
     rows, cols = b.shape
     out = np.empty_like(b)
     for r in range(rows):
@@ -113,7 +113,7 @@ def spread(band: Array, h: int, signs: Array, flat: bool, out: Array) -> None:
                 out[r + h, c + h] += signs[3] * band[r, c]
 
 
-def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape: tuple[int, int]) -> Array:
+def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape: tuple[int, ...]) -> Array:
     """The level below (of ``shape``) from scaling coefficients and detail bands; ``None`` stands for zeros."""
     like = low if low is not None else bands
     assert like is not None
@@ -123,7 +123,8 @@ def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape
     if bands is not None:
         for band, signs in zip(bands, SIGNS_1D if flat else SIGNS_2D, strict=True):
             spread(band, h, signs, flat, out)
-    return covered(out, h, flat)  # type: ignore[no-any-return]
+    level_below: Array = covered(out, h, flat)
+    return level_below
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -165,11 +166,12 @@ def mean_beside(a: Array, distance: int, flat: bool) -> Array:
 
 @njit(cache=True, fastmath=True, nogil=True)
 def _squares(d: Array, scale: float) -> Array:
-    out = np.zeros(d.shape[1:], d.dtype)
+    bands, rows, cols = d.shape
+    out = np.zeros((rows, cols), d.dtype)
     factor = np.float32(scale)
-    for o in range(d.shape[0]):
-        for r in range(out.shape[0]):
-            for c in range(out.shape[1]):
+    for o in range(bands):
+        for r in range(rows):
+            for c in range(cols):
                 out[r, c] += factor * d[o, r, c] * d[o, r, c]
     return out
 

@@ -18,31 +18,33 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 
 from . import haar
+from .kernels import (
+    BUMP,
+    OWN,
+    PER_GUIDE,
+    SPATIAL,
+    bumps,
+    combine,
+    combine_guide,
+    linear_terms,
+    predictions,
+    surroundings,
+    threshold_terms,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
 
-#: Width of the threshold bump in noise variances, per orientation.
-BUMP = 4.0
-#: Widths of the neighbour classes: an empty surrounding, and one that is not quite empty.
-CLASS_NARROW, CLASS_WIDE = 1.0, 4.0
-#: Share of a coefficient's own block in its noise level; the rest comes from the blocks beside it.
-OWN = 0.5
 #: Step of the difference that stands for the derivatives in the electron-multiplied case, in units of the gain.
 EM_STEP = 0.5
-#: Candidates per level: {coefficient, thresholded} x {everywhere, empty surrounding, nearly empty surrounding}.
-SPATIAL = 6
-#: Candidates per level and guide: {prediction, thresholded difference from it} x {everywhere, empty surrounding}.
-PER_GUIDE = 4
 #: Directions in weight space whose share of the risk is below this many noise variances are faded out.
 DOUBT = 2.0
-ZERO, ONE, EIGHTH = np.float32(0.0), np.float32(1.0), np.float32(0.125)
-NARROW, WIDE = np.float32(1.0 / CLASS_NARROW), np.float32(1.0 / CLASS_WIDE)
+#: Inverse variance of the weights before any data, in noise variances of one pixel.
+WEIGHT_PRIOR = 3.0
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ class System:
     rest: float
     noise: float
     n_pixels: int
+    levels: int = 1
+    guides: int = 0
 
     def __add__(self, other: System) -> System:
         return System(
@@ -78,177 +82,106 @@ class System:
             self.rest + other.rest,
             self.noise + other.noise,
             self.n_pixels + other.n_pixels,
+            self.levels,
+            self.guides,
         )
+
+    def less(self, other: System) -> System:
+        """This system without one of those it was added up from."""
+        minus = System(-other.gram, -other.cross, -other.rest, -other.noise, -other.n_pixels)
+        return self + minus
+
+    def reduced(self, selection: Array) -> System:
+        """The system of fewer weights, of which ``selection`` (all, fewer) makes all."""
+        gram, cross = selection.T @ self.gram @ selection, selection.T @ self.cross
+        return System(gram, cross, self.rest, self.noise, self.n_pixels, self.levels, self.guides)
 
     def risk(self, weights: Array) -> float:
         """Estimated mean squared error per pixel of the estimator with these weights."""
         total = weights @ self.gram @ weights - 2.0 * weights @ self.cross + self.rest
-        return float(total / self.n_pixels)
+        return float(total) / self.n_pixels
 
     def noise_variance(self) -> float:
         """Estimated mean squared error per pixel of the data themselves."""
         return self.noise / self.n_pixels
+
+    def optimism(self) -> float:
+        """By how much the least estimated risk is expected to lie below the true one, per pixel.
+
+        Three noise variances per weight: two are Mallows' term for fixed candidates, one was measured for candidates
+        that depend on the data. Only used where there are too few windows to check one against the others.
+        """
+        return 3.0 * self.cross.size * max(self.noise_variance(), 0.0) / self.n_pixels
 
     def solve(self, doubt: float = DOUBT) -> Array:
         """Weights of least estimated risk, faded where the risk's own noise decides.
 
         In coordinates in which the Gram matrix is the identity, each coordinate carries noise of about the noise
         energy of one pixel. A coordinate whose square is not ``doubt`` times above that is fitted to chance: it is
-        shrunk by the positive part of 1 - doubt * noise / square. ``doubt=0`` is plain least squares.
+        shrunk by the positive part of 1 - doubt * noise / square. Weights are of order one: that much is assumed
+        beforehand, so that a candidate that hardly ever occurs gets none. ``doubt=0`` is plain least squares.
         """
-        scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-30))
-        values, vectors = np.linalg.eigh(self.gram / np.outer(scale, scale))
+        noise = max(self.noise_variance(), 0.0)
+        gram = self.gram + (WEIGHT_PRIOR * noise if doubt > 0 else 0.0) * np.eye(self.cross.size)
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-30))
+        values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
         # Single precision carries about five digits into the Gram matrix; smaller directions are rounding.
         kept = values > 1e-5 * values[-1]
         values, vectors = values[kept], vectors[:, kept]
         along = vectors.T @ (self.cross / scale) / np.sqrt(values)
-        doubtful = doubt * max(self.noise_variance(), 0.0)
-        along *= np.maximum(0.0, 1.0 - doubtful / np.maximum(along**2, 1e-30))
+        along *= np.maximum(0.0, 1.0 - doubt * noise / np.maximum(along**2, 1e-30))
         weights: Array = vectors @ (along / np.sqrt(values)) / scale
         return weights
 
 
-@njit(cache=True, inline="always", fastmath=True)
-def _class_weight(energy: Any) -> Any:
-    """Smoothly 1 where the neighbourhood is empty, 0 where it is full: a cheap stand-in for exp(-energy)."""
-    rest = max(ZERO, ONE - EIGHTH * energy)
-    rest *= rest
-    rest *= rest
-    return rest * rest
+#: Candidates kept in the smaller models, as places in one level's spatial and one guide's candidates.
+CORE_SPATIAL, CORE_GUIDE = (0, 1, 3, 4), (0, 2)
+TINY_SPATIAL, TINY_GUIDE = (0, 3), (0,)
+#: A model may have one weight for so many pixels.
+PIXELS_PER_WEIGHT = 25
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def surroundings(s_beside: Array, energy: Array, variance: Array, alpha: float) -> tuple[Array, Array, Array]:
-    """Noise level without the block's own share, and the two class weights; none depends on the block's own pixels."""
-    rows, cols = s_beside.shape
-    rest = np.empty((rows, cols), s_beside.dtype)
-    narrow = np.empty((rows, cols), s_beside.dtype)
-    wide = np.empty((rows, cols), s_beside.dtype)
-    own = np.float32(OWN * alpha)
-    other = np.float32((1.0 - OWN) * alpha)
-    floor = np.float32(0.25 * alpha * alpha + 1e-9)
-    for r in range(rows):
-        for c in range(cols):
-            beside = max(s_beside[r, c], ZERO)
-            base = variance[r, c] + other * beside + floor
-            x = energy[r, c] / (base + own * beside)
-            rest[r, c] = base
-            narrow[r, c] = _class_weight(x * NARROW)
-            wide[r, c] = _class_weight(x * WIDE)
-    return rest, narrow, wide
+def selections(levels: int, guides: int) -> list[Array]:
+    """Weights of the full model, of a core per level, and of a tiny model that all levels share."""
+    per_level = SPATIAL + PER_GUIDE * guides
+    size = levels * per_level + guides
+
+    def places(spatial: tuple[int, ...], guide: tuple[int, ...]) -> list[int]:
+        return [*spatial, *(SPATIAL + PER_GUIDE * k + g for k in range(guides) for g in guide)]
+
+    eye = np.eye(size)
+    extras = eye[:, levels * per_level :]
+    starts = [level * per_level for level in range(levels)]
+    core = [start + place for start in starts for place in places(CORE_SPATIAL, CORE_GUIDE)]
+    tiny = [sum(eye[start + place] for start in starts) for place in places(TINY_SPATIAL, TINY_GUIDE)]
+    return [eye, np.hstack([eye[:, core], extras]), np.hstack([np.stack(tiny, axis=1), extras])]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def bumps(d: Array, s: Array, rest: Array, guide: Array, own: float, width: float) -> Array:
-    """Share of each block's details (less the guide's) that the threshold keeps as noise-like: 1 at 0, 0 far out."""
-    rows, cols = s.shape
-    out = np.empty((rows, cols), d.dtype)
-    own32 = np.float32(own)
-    scale = np.float32(0.25 / width)
-    for r in range(rows):
-        for c in range(cols):
-            a, b, e = d[0, r, c] - guide[0, r, c], d[1, r, c] - guide[1, r, c], d[2, r, c] - guide[2, r, c]
-            level = rest[r, c] + own32 * max(s[r, c], ZERO)
-            left = max(ZERO, ONE - scale * (a * a + b * b + e * e) / level)
-            left *= left
-            out[r, c] = left * left
-    return out
+def learn(parts: list[System]) -> tuple[Array, float, float]:
+    """Weights of least estimated risk over all windows, their honest risk, and the noise variance of the data.
 
-
-@njit(cache=True, fastmath=True, nogil=True)
-def linear_terms(d: Array, y: Array, v: Array, step_mean: float, bands: float) -> Array:
-    """Risk terms of the details themselves, per block; ``y`` and ``v`` (child, rows, cols) as in `threshold_terms`."""
-    rows, cols = d.shape[1:]
-    out = np.empty((rows, cols), d.dtype)
-    for r in range(rows):
-        for c in range(cols):
-            y0, y1, y2, y3 = y[0, r, c], y[1, r, c], y[2, r, c], y[3, r, c]
-            part = d[0, r, c] * (y0 - y1 + y2 - y3) + d[1, r, c] * (y0 + y1 - y2 - y3)
-            part += d[2, r, c] * (y0 - y1 - y2 + y3)
-            noise = step_mean * (y0 + y1 + y2 + y3) + v[0, r, c] + v[1, r, c] + v[2, r, c] + v[3, r, c]
-            out[r, c] = part - bands * noise
-    return out
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def threshold_terms(
-    d: Array,
-    s: Array,
-    rest: Array,
-    guide: Array,
-    own: float,
-    width: float,
-    y: Array,
-    v: Array,
-    stencil: tuple[float, float, float, float],
-    bands: float,
-) -> Array:
-    """Unbiased estimates, per block, of x times what the thresholded details (less the guide's) add to the image.
-
-    ``y[k]`` holds the data of the block's k-th child weighted with what a detail adds to those pixels in the
-    synthesis; ``v[k]`` the same of the Gaussian variance.
+    The risk of weights on the data that chose them is too low. Each window is therefore judged with the weights that
+    the other windows choose; a single window gets its expected optimism added. The same judgement chooses between the
+    full set of candidates and smaller ones, which small or very noisy images need.
     """
-    rows, cols = s.shape
-    out = np.empty((rows, cols), d.dtype)
-    step = stencil[0]
-    for r in range(rows):
-        for c in range(cols):
-            a, b, e = d[0, r, c] - guide[0, r, c], d[1, r, c] - guide[1, r, c], d[2, r, c] - guide[2, r, c]
-            total = 0.0
-            for k in range(4):
-                sign_a = 1.0 - 2.0 * (k & 1)
-                sign_b = 1.0 - (k & 2)
-                sign_e = sign_a * sign_b
-                yk, vk = y[k, r, c], v[k, r, c]
-                if yk == 0.0 and vk == 0.0:
-                    continue
-                for side in range(3):
-                    share = stencil[side + 1]
-                    if share == 0.0:
-                        continue
-                    more = step * (side - 1)
-                    block = s[r, c] + more
-                    level = rest[r, c] + own * max(block, 0.0)
-                    p, q, t = a + sign_a * more, b + sign_b * more, e + sign_e * more
-                    signed = sign_a * p + sign_b * q + sign_e * t
-                    x = 0.25 / width * (p * p + q * q + t * t) / level
-                    left = max(0.0, 1.0 - x)
-                    cube = left * left * left
-                    slope = 0.5 / width * signed / level - (x * own / level if block > 0.0 else 0.0)
-                    value = cube * left * signed
-                    # Along the pixel's direction every detail changes by its sign: their signs' squares sum to the number of bands.
-                    change = cube * left * bands - 4.0 * cube * slope * signed
-                    total += share * (yk * value - vk * change)
-            out[r, c] = total
-    return out
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def combine(d: Array, bump: Array, narrow: Array, wide: Array, w: Array) -> None:
-    """Replace the details by the weighted sum of their spatial candidates."""
-    bands, rows, cols = d.shape
-    w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
-    for r in range(rows):
-        for c in range(cols):
-            g, h = narrow[r, c], wide[r, c]
-            factor = (w0 + w1 * g + w2 * h) + bump[r, c] * (w3 + w4 * g + w5 * h)
-            for o in range(bands):
-                d[o, r, c] *= factor
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def combine_guide(out: Array, d: Array, guide: Array, bump: Array, narrow: Array, w: Array) -> None:
-    """Add the weighted candidates of one guide; ``d`` are the details before `combine`."""
-    bands, rows, cols = d.shape
-    w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
-    for r in range(rows):
-        for c in range(cols):
-            g = narrow[r, c]
-            direct = w0 + w1 * g
-            shrunk = bump[r, c] * (w2 + w3 * g)
-            for o in range(bands):
-                v = guide[o, r, c]
-                out[o, r, c] += direct * v + shrunk * (d[o, r, c] - v)
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    best: tuple[Array, float] = (np.zeros(total.cross.size), np.inf)
+    for selection in selections(total.levels, total.guides):
+        whole = total.reduced(selection)
+        if whole.n_pixels < PIXELS_PER_WEIGHT * whole.cross.size:
+            continue
+        weights = whole.solve()
+        if len(parts) == 1:
+            risk = whole.risk(weights) + whole.optimism()
+        else:
+            pieces = [part.reduced(selection) for part in parts]
+            errors = [piece.risk(whole.less(piece).solve()) * piece.n_pixels for piece in pieces]
+            risk = float(np.sum(errors)) / whole.n_pixels
+        if risk < best[1]:
+            best = (selection @ weights, risk)
+    return *best, total.noise_variance()
 
 
 def _three_bands(d: Array) -> Array:
@@ -265,39 +198,45 @@ def _children(a: Array, h: int, flat: bool) -> Array:
     return np.stack([left[:-h], right[:-h], left[h:], right[h:]])
 
 
-class _Level:
-    """What one level of the transform knows before any weight: details, noise level, classes."""
+class Bands:
+    """One level's details with all that its candidates are made of, before any weight is known.
+
+    ``variance`` is the Gaussian variance of each block, ``distance`` how many array places lie between blocks that
+    share no pixel, ``guides`` the details of independent images of the same scene.
+    """
 
     def __init__(
-        self, a: Array, variance: Array, lows: list[Array], guide_noise: Array, noise: Noise, h: int, flat: bool
+        self,
+        s: Array,
+        details: Array,
+        variance: Array,
+        noise: Noise,
+        distance: int,
+        flat: bool,
+        guides: list[Array],
+        guide_noise: Array,
     ) -> None:
-        self.h, self.flat, self.shape = h, flat, a.shape
-        self.s, details = haar.analyse(a, h, flat)
+        self.s, self.noise = s, noise
+        self.n = details.shape[0]
         self.d = _three_bands(details)
-        self.width = BUMP * (1.0 if flat else 3.0)
+        self.width = BUMP * self.n
         self.own = OWN * noise.alpha
-        self.variance = haar.children_sum(variance, h, haar.LOW_1D if flat else haar.LOW_2D, flat)
-        self.lows: list[Array] = []
-        self.guides: list[Array] = []
-        for low in lows:
-            guide_s, bands = haar.analyse(low, h, flat)
-            self.lows.append(guide_s)
-            self.guides.append(_three_bands(bands))
-        energy = haar.energy_beside(details, 2 * h, flat)
-        if self.guides:
+        self.guides = [_three_bands(guide) for guide in guides]
+        self.guide_noise = guide_noise
+        energy = haar.energy_beside(details, distance, flat)
+        if guides:
             # A guide shows the coefficient itself: its square weighs as much as the whole neighbourhood.
             energy *= np.float32(0.5)
-            for guide, relative in zip(self.guides, guide_noise, strict=True):
-                share = 0.5 / len(self.guides) / max(float(relative), 0.05) / details.shape[0]
-                haar.add_energy(energy, guide, share)
-        s_beside = haar.mean_beside(self.s, 2 * h, flat)
-        self.rest, self.narrow, self.wide = surroundings(s_beside, energy, self.variance, noise.alpha)
-        self.zero = np.zeros_like(self.d)
-        self.guide_noise = guide_noise
+            for guide, relative in zip(guides, guide_noise, strict=True):
+                haar.add_energy(energy, guide, 0.5 / len(guides) / max(float(relative), 0.05) / self.n)
+        s_beside = haar.mean_beside(s, distance, flat)
+        self.rest, self.narrow, self.wide = surroundings(s_beside, energy, variance, noise.alpha)
+        self.predicted = predictions(self.d, s, distance, flat)
+        self.zero = np.zeros((3, 1, 1), self.d.dtype)
 
     def bump(self, guide: int) -> Array:
         """Threshold of the details (guide -1) or of their difference from a guide."""
-        reference = self.zero if guide < 0 else self.guides[guide]
+        reference = np.broadcast_to(self.zero, self.d.shape) if guide < 0 else self.guides[guide]
         out: Array = bumps(self.d, self.s, self.rest, reference, self.own, self.guide_width(guide))
         return out
 
@@ -309,15 +248,21 @@ class _Level:
         bump = self.bump(-1)
         out = [self.d * g for g in (1.0, self.narrow, self.wide)]
         out += [self.d * (bump * g) for g in (np.float32(1.0), self.narrow, self.wide)]
+        for prediction in self.predicted:
+            out += [prediction, prediction * self.narrow]
         for k, guide in enumerate(self.guides):
             bump = self.bump(k)
             out += [guide, guide * self.narrow, (self.d - guide) * bump, (self.d - guide) * (bump * self.narrow)]
         return [np.asarray(c, self.d.dtype) for c in out]
 
-    def terms(self, y: Array, v: Array, noise: Noise) -> list[float]:
-        """Unbiased estimates of the sum of x times every candidate's image."""
-        step, less, here, more = noise.stencil()
-        bands = 1.0 if self.flat else 3.0
+    def terms(self, y: Array, v: Array) -> list[float]:
+        """Unbiased estimates of the sum of x times what every candidate adds to the image.
+
+        ``y`` and ``v`` (child, rows, cols): data and Gaussian variance of each block's children, weighted with what a
+        detail adds to their pixels in the synthesis.
+        """
+        step, less, here, more = self.noise.stencil()
+        bands = float(self.n)
         linear = linear_terms(self.d, y, v, (less - more) * step, bands)
         classes = (None, self.narrow, self.wide)
 
@@ -325,7 +270,7 @@ class _Level:
             return [float(np.sum(per_block if g is None else per_block * g, dtype=np.float64)) for g in weights]
 
         def thresholded(guide: int) -> Array:
-            reference = self.zero if guide < 0 else self.guides[guide]
+            reference = np.broadcast_to(self.zero, self.d.shape) if guide < 0 else self.guides[guide]
             out: Array = threshold_terms(
                 self.d, self.s, self.rest, reference, self.own, self.guide_width(guide), y, v,
                 (step, less, here, more), bands,
@@ -333,10 +278,23 @@ class _Level:
             return out
 
         out = sums(linear, classes) + sums(thresholded(-1), classes)
+        for prediction in self.predicted:
+            out += sums(linear_terms(prediction, y, np.zeros_like(v), 0.0, bands), classes[:2])
         for k, guide in enumerate(self.guides):
             known = linear_terms(guide, y, np.zeros_like(v), 0.0, bands)
             out += sums(known, classes[:2]) + sums(thresholded(k), classes[:2])
         return out
+
+
+def _analysed(
+    a: Array, variance: Array, lows: list[Array], noise: Noise, h: int, flat: bool, guide_noise: Array
+) -> tuple[Bands, Array, list[Array]]:
+    """One level down: its bands, the blocks' Gaussian variance, and the guides' block sums."""
+    s, details = haar.analyse(a, h, flat)
+    block_variance = haar.children_sum(variance, h, haar.LOW_1D if flat else haar.LOW_2D, flat)
+    analysed = [haar.analyse(low, h, flat) for low in lows]
+    bands = Bands(s, details, block_variance, noise, 2 * h, flat, [d for _, d in analysed], guide_noise)
+    return bands, block_variance, [low for low, _ in analysed]
 
 
 def expand(
@@ -357,20 +315,20 @@ def expand(
     def down(plane: Array, level: int) -> Array:
         for below in reversed(range(level)):
             plane = haar.synthesise(plane, None, 2**below, flat, shapes[below])
-        return plane
+        return np.asarray(plane)
 
     for number in range(levels):
         h = 2**number
         shapes.append(a.shape)
-        level = _Level(a, v, lows, guide_noise, noise, h, flat)
+        bands, v, lows = _analysed(a, v, lows, noise, h, flat, guide_noise)
         b_covered, v_covered = haar.covered(b, h, flat), haar.covered(v_adjoint, h, flat)
-        cross += level.terms(_children(b_covered, h, flat), _children(v_covered, h, flat), noise)
+        cross += bands.terms(_children(b_covered, h, flat), _children(v_covered, h, flat))
         # One weight for all orientations: a microscope prefers none, and a third of the weights is a third of the
         # over-fitting.
-        for candidate in level.candidates():
-            plane = haar.synthesise(None, candidate[: 1 if flat else 3], h, flat, shapes[number])
+        for candidate in bands.candidates():
+            plane = haar.synthesise(None, candidate[: bands.n], h, flat, shapes[number])
             planes.append(down(plane, number))
-        a, v, lows = level.s, level.variance, level.lows
+        a = bands.s
         b, v_adjoint = haar.children_sum(b_covered, h, low, flat), haar.children_sum(v_covered, h, low, flat)
 
     fixed = down(a, levels)
@@ -390,6 +348,8 @@ def expand(
         rest=products[0, 0] - 2.0 * fixed_cross + energy_x,
         noise=total_noise,
         n_pixels=image.size,
+        levels=levels,
+        guides=len(guides),
     )
     return system, stacked
 
@@ -404,16 +364,16 @@ def apply(
     v = np.broadcast_to(noise.variance, image.shape).astype(image.dtype)
     kept: list[tuple[tuple[int, ...], Array]] = []
     for number in range(levels):
-        level = _Level(a, v, lows, guide_noise, noise, 2**number, flat)
+        bands, v, lows = _analysed(a, v, lows, noise, 2**number, flat, guide_noise)
         w = weights[number * per_level : (number + 1) * per_level]
-        out = level.d.copy() if guides else level.d
-        bump = level.bump(-1)
-        combine(out, bump, level.narrow, level.wide, w[:SPATIAL])
-        for k, guide in enumerate(level.guides):
+        out = bands.d.copy() if guides else bands.d
+        bump = bands.bump(-1)
+        combine(out, bump, bands.narrow, bands.wide, bands.predicted, w[:SPATIAL])
+        for k, guide in enumerate(bands.guides):
             first = SPATIAL + PER_GUIDE * k
-            combine_guide(out, level.d, guide, level.bump(k), level.narrow, w[first : first + PER_GUIDE])
-        kept.append((a.shape, out[: 1 if flat else 3]))
-        a, v, lows = level.s, level.variance, level.lows
+            combine_guide(out, bands.d, guide, bands.bump(k), bands.narrow, w[first : first + PER_GUIDE])
+        kept.append((a.shape, out[: bands.n]))
+        a = bands.s
     extra = weights[levels * per_level :]
     plane = a * image.dtype.type(1.0 - float(extra.sum()))
     for weight, guide in zip(extra, lows, strict=True):
@@ -421,4 +381,4 @@ def apply(
     for number in reversed(range(levels)):
         shape, details = kept[number]
         plane = haar.synthesise(plane, details, 2**number, flat, shape)
-    return plane
+    return np.asarray(plane)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -23,7 +25,8 @@ Method = Literal["pure-let", "pure-let-movie", "source", "none"]
 BLOCK = 16
 #: Frames whose pooled risk sets the weights of a movie.
 SAMPLES = 12
-NEIGHBOURS = 3
+#: Frames in work at once.
+WORKERS = max(1, min(4, os.cpu_count() or 1))
 
 
 def denoise(
@@ -88,7 +91,7 @@ def denoise(
         result[start:stop] = cam.photons(worker.block(start, stop), camera)
         if progress is not None:
             progress(stop, shape[0])
-    return result  # type: ignore[no-any-return]
+    return result
 
 
 def _stop_if(cancel: Callable[[], bool] | None) -> None:
@@ -104,7 +107,7 @@ class _Frames:
         self.multiplied = camera.type == "EMCCD" and excess_noise
         self.alpha = cam.multiplication_noise(camera) if self.multiplied else 1.0
         self.weights: Array | None = None
-        from .temporal import rings_for
+        from .temporal import NEIGHBOURS, rings_for
 
         self.rings = rings_for(NEIGHBOURS if method == "pure-let-movie" and shape[0] > 1 else 0)
 
@@ -129,26 +132,20 @@ class _Frames:
         """Weights of least pooled risk over frames spread evenly through the movie."""
         if self.method not in ("pure-let", "pure-let-movie"):
             return
-        from .purelet import LEVELS, risk_system
-        from .temporal import guides_of
+        from .purelet import LEVELS, risk_systems
+        from .temporal import chosen_weights, guides_of, sample_frames, sample_windows
 
-        n = self.shape[0]
-        total = None
-        # Every pass takes another window of each large frame: as much variety for a fraction of the time.
-        for number, t in enumerate(np.unique(np.linspace(0, n - 1, min(SAMPLES, n)).astype(int))):
+        parts = []
+        chosen = sample_frames(self.shape[0], SAMPLES)
+        for number, t in enumerate(chosen):
             _stop_if(cancel)
-            first, last = self.reach(int(t), int(t) + 1)
+            first, last = self.reach(t, t + 1)
             data = self.read(first, last)
-            guides, relative = guides_of(data, int(t) - first, self.rings)
-            every = 1 if n < 4 else 4
-            part = risk_system(
-                data[t - first], self.noise(data[t - first]), LEVELS, False, guides, relative, every, number
-            )
-            if part is not None:
-                total = part if total is None else total + part
-        if total is not None:
-            weights = total.solve()
-            self.weights = weights if total.risk(weights) < total.noise_variance() else None
+            guides, relative = guides_of(data, t - first, self.rings)
+            tiles = sample_windows(self.shape[1:], number, len(chosen))
+            frame = data[t - first]
+            parts += risk_systems(frame, self.noise(frame), LEVELS, False, tiles, guides, relative)
+        self.weights = chosen_weights(parts)
 
     def reach(self, start: int, stop: int) -> tuple[int, int]:
         """The block with the neighbours that its frames look at."""
@@ -167,9 +164,14 @@ class _Frames:
         first, last = self.reach(start, stop)
         data = self.read(first, last)
         out = np.empty((stop - start, *self.shape[1:]), np.float32)
-        for t in range(start, stop):
+
+        def one(t: int) -> None:
             frame = data[t - first]
             out[t - start] = apply_frame(data, t - first, self.noise(frame), self.rings, LEVELS, self.weights)
+
+        # The kernels release the interpreter: threads share the block's frames.
+        with ThreadPoolExecutor(max_workers=min(WORKERS, stop - start)) as pool:
+            list(pool.map(one, range(start, stop)))
         return out
 
 
@@ -195,7 +197,7 @@ def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
 
 
 def source_recipe(counts: Array, camera: Camera) -> NDArray[np.float32]:
-    """The source note's pipeline, literally: wavelet shrinkage of the read noise, gain undone, plain Poisson denoiser."""
+    """The source note's pipeline, literally: shrinkage of the read noise, gain undone, plain Poisson denoiser."""
     from .wavelet import anscombe_wavelet, bayes_shrink
 
     electrons = cam.output_electrons(counts, camera)

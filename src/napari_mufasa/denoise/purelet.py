@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -17,8 +18,9 @@ if TYPE_CHECKING:
 
 Method = Literal["undecimated", "cycle-spinning"]
 
-#: Windows this large (pixels per axis) carry the risk estimate; larger images are the sum of their windows.
-WINDOW = 256
+#: Side of the windows (pixels) that carry the risk estimate, and how many of them one image needs at most.
+WINDOW = 128
+MAX_WINDOWS = 8
 LEVELS = 5
 NO_GUIDES: list[Any] = []
 NO_GUIDE_NOISE = np.zeros(0, np.float32)
@@ -111,22 +113,21 @@ def pure_let(
         result, risk = cycle_spin(plane, noise, levels)
     else:
         result, risk = estimate(plane, noise, levels, flat)
-    if result.shape != plane.shape[: result.ndim]:  # pragma: no cover - the transforms keep shapes
-        raise AssertionError(result.shape)
     final = result.reshape(shape)
     return (final, risk) if return_risk else final
 
 
 def estimate(plane: Array, noise: let.Noise, levels: int, flat: bool) -> tuple[NDArray[np.float32], float]:
     """Undecimated PURE-LET of one plane, with the estimated risk."""
-    system = risk_system(plane, noise, levels, flat)
-    if system is None:
+    tiles = windows(plane.shape, flat)
+    spread = np.unique(np.linspace(0, len(tiles) - 1, MAX_WINDOWS).round().astype(int))
+    parts = risk_systems(plane, noise, levels, flat, [tiles[k] for k in spread])
+    if not parts:
         mean_noise = noise.alpha * float(plane.mean(dtype=np.float64)) + float(np.mean(noise.variance))
         return plane, max(mean_noise, 0.0)
-    weights = system.solve()
-    risk = system.risk(weights)
-    if not risk < system.noise_variance():
-        return plane, max(system.noise_variance(), 0.0)
+    weights, risk, untouched = let.learn(parts)
+    if not risk < untouched:
+        return plane, max(untouched, 0.0)
     depth = depth_for(plane.shape, levels, flat)
     result = let.apply(plane, noise, depth, flat, NO_GUIDES, NO_GUIDE_NOISE, weights)
     return same_mean(result, plane), risk
@@ -134,49 +135,45 @@ def estimate(plane: Array, noise: let.Noise, levels: int, flat: bool) -> tuple[N
 
 def depth_for(shape: tuple[int, ...], levels: int, flat: bool) -> int:
     """Levels used for a plane: those that fit its smallest window."""
-    sizes = shape[1:] if flat else shape
-    return haar.levels_for(tuple(min(n, WINDOW) for n in sizes), levels)
+    rows, cols = windows(shape, flat)[0]
+    sizes = (cols.stop,) if flat else (rows.stop, cols.stop)
+    return haar.levels_for(sizes, levels)
 
 
-def risk_system(
+def risk_systems(
     plane: Array,
     noise: let.Noise,
     levels: int,
     flat: bool,
+    tiles: list[tuple[slice, slice]],
     guides: list[Array] = NO_GUIDES,
     guide_noise: Array = NO_GUIDE_NOISE,
-    every: int = 1,
-    first: int = 0,
-) -> let.System | None:
-    """Sum of the risk systems of the windows of a plane (each ``every``-th from ``first``); None where none can be built."""
+) -> list[let.System]:
+    """The risk system of each window of a plane; none where the plane is too small or free of noise."""
     depth = depth_for(plane.shape, levels, flat)
     if depth == 0 or (noise.alpha == 0 and not np.any(noise.variance)):
-        return None
-    total: let.System | None = None
+        return []
     variance = np.broadcast_to(noise.variance, plane.shape)
-    for number, window in enumerate(windows(plane.shape, flat)):
-        if number % every != first % every:
-            continue
-        part, _ = let.expand(
-            np.ascontiguousarray(plane[window]),
-            let.Noise(noise.alpha, variance[window], noise.multiplied),
-            depth,
-            flat,
-            [np.ascontiguousarray(guide[window]) for guide in guides],
-            guide_noise,
-        )
-        total = part if total is None else total + part
-    return total
+    parts = []
+    for tile in tiles:
+        inside = let.Noise(noise.alpha, variance[tile], noise.multiplied)
+        seen = [np.ascontiguousarray(guide[tile]) for guide in guides]
+        parts.append(let.expand(np.ascontiguousarray(plane[tile]), inside, depth, flat, seen, guide_noise)[0])
+    return parts
 
 
 def windows(shape: tuple[int, ...], flat: bool) -> list[tuple[slice, slice]]:
-    """Disjoint windows of at least half and at most one and a half `WINDOW` per axis that tile the plane."""
+    """Disjoint windows of two thirds to three halves of `WINDOW` per axis (or the axis) that tile the plane.
+
+    The first is the smallest.
+    """
 
     def cuts(n: int) -> list[slice]:
         parts = max(1, round(n / WINDOW))
         edges = np.linspace(0, n, parts + 1).astype(int)
-        return [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
+    # A trace is never cut: its windows are groups of whole traces.
     columns = [slice(0, shape[1])] if flat else cuts(shape[1])
     return [(rows, cols) for rows in cuts(shape[0]) for cols in columns]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import let
-from .purelet import LEVELS, checked, depth_for, estimate, risk_system, same_mean
+from .purelet import LEVELS, checked, depth_for, estimate, risk_systems, same_mean, windows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,8 +16,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-#: Neighbours per side, nearest ring first: frames t +- 1, then t +- 2 and 3, each ring one guide.
-RINGS = ((1,), (2, 3))
+#: Windows that settle the weights of a movie; taken with a stride that visits all of a frame's windows.
+ENOUGH_WINDOWS = 24
+STRIDE = 7
+NEIGHBOURS = 5
 
 
 def rings_for(neighbours: int) -> tuple[tuple[int, ...], ...]:
@@ -41,7 +43,10 @@ def guides_of(movie: Array, t: int, rings: Sequence[Sequence[int]]) -> tuple[lis
         frames = [t + sign * k for k in ring for sign in (-1, 1) if 0 <= t + sign * k < n]
         if not frames:
             frames = [k for k in (t - 1, t + 1) if 0 <= k < n]
-        guides.append(np.mean(movie[frames], axis=0, dtype=np.float32))
+        mean = movie[frames[0]].astype(np.float32)
+        for k in frames[1:]:
+            mean += movie[k]
+        guides.append(mean / np.float32(len(frames)))
         noise.append(1.0 / len(frames))
     return guides, np.asarray(noise, np.float32)
 
@@ -52,7 +57,7 @@ def pure_let_movie(
     sigma: ArrayLike = 0.0,
     offset: float = 0.0,
     *,
-    neighbours: int = 3,
+    neighbours: int = NEIGHBOURS,
     levels: int = LEVELS,
     multiplied: bool = False,
     samples: int = 16,
@@ -90,16 +95,33 @@ def movie_weights(
     data: Array, noise: let.Noise, rings: Sequence[Sequence[int]], levels: int, samples: int
 ) -> NDArray[np.float64] | None:
     """Weights of least pooled risk over ``samples`` frames; None where the data cannot be improved."""
-    total: let.System | None = None
-    for t in np.unique(np.linspace(0, data.shape[0] - 1, min(samples, data.shape[0])).astype(int)):
-        guides, relative = guides_of(data, int(t), rings)
-        part = risk_system(data[t], noise, levels, False, guides, relative)
-        if part is not None:
-            total = part if total is None else total + part
-    if total is None:
+    parts: list[let.System] = []
+    chosen = sample_frames(data.shape[0], samples)
+    for number, t in enumerate(chosen):
+        guides, relative = guides_of(data, t, rings)
+        tiles = sample_windows(data.shape[1:], number, len(chosen))
+        parts += risk_systems(data[t], noise, levels, False, tiles, guides, relative)
+    return chosen_weights(parts)
+
+
+def sample_frames(n_frames: int, samples: int) -> list[int]:
+    """Frames spread evenly over the movie."""
+    return [int(t) for t in np.unique(np.linspace(0, n_frames - 1, min(samples, n_frames)).round())]
+
+
+def sample_windows(shape: tuple[int, ...], number: int, n_samples: int) -> list[tuple[slice, slice]]:
+    """Windows of the ``number``-th sample: other ones in every frame, `ENOUGH_WINDOWS` over all of them."""
+    tiles = windows(shape, False)
+    each = min(len(tiles), max(1, -(-ENOUGH_WINDOWS // n_samples)))
+    return [tiles[(number * each + k) * STRIDE % len(tiles)] for k in range(each)]
+
+
+def chosen_weights(parts: list[let.System]) -> NDArray[np.float64] | None:
+    """Weights of least pooled risk; None where the data cannot be improved."""
+    if not parts:
         return None
-    weights = total.solve()
-    return weights if total.risk(weights) < total.noise_variance() else None
+    weights, risk, untouched = let.learn(parts)
+    return weights if risk < untouched else None
 
 
 def apply_frame(

@@ -26,14 +26,16 @@ def bayes_shrink(image: Array, sigma: float) -> NDArray[np.float32]:
 
 def anscombe(image: Array, sigma: float = 0.0) -> Array:
     """Generalised Anscombe transform of Poisson counts with Gaussian noise ``sigma``: variance about 1."""
-    return 2.0 * np.sqrt(np.maximum(image + (0.375 + sigma * sigma), 0.0))
+    stable: Array = 2.0 * np.sqrt(np.maximum(image + (0.375 + sigma * sigma), 0.0))
+    return stable
 
 
 def inverse_anscombe(stable: Array) -> Array:
     """Closed-form approximation of the exact unbiased inverse."""
     d = np.maximum(stable, 2.0 * np.sqrt(0.375))
     root = np.sqrt(1.5)
-    return 0.25 * d**2 + 0.25 * root / d - 1.375 / d**2 + 0.625 * root / d**3 - 0.125
+    signal: Array = 0.25 * d**2 + 0.25 * root / d - 1.375 / d**2 + 0.625 * root / d**3 - 0.125
+    return signal
 
 
 def anscombe_wavelet(image: Array) -> NDArray[np.float32]:

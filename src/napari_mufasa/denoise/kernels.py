@@ -1,0 +1,218 @@
+"""The loops of PURE-LET over one level's blocks: thresholds, their risk terms, and their weighted sum.
+
+Details come as (3, rows, cols): horizontal, vertical, diagonal; a transform of rows only leaves the last two zero.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import njit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+
+#: Width of the threshold bump in noise variances, per orientation.
+BUMP = 4.0
+#: Widths of the neighbour classes: an empty surrounding, and one that is not quite empty.
+CLASS_NARROW, CLASS_WIDE = 1.0, 4.0
+#: Share of a coefficient's own block in its noise level; the rest comes from the blocks beside it.
+OWN = 0.5
+#: Candidates per level: {coefficient, thresholded} x {everywhere, empty surrounding, nearly empty surrounding}, and
+#: {three predictions from the blocks beside} x {everywhere, empty surrounding}.
+OWN_CANDIDATES = 6
+PREDICTIONS = 3
+SPATIAL = OWN_CANDIDATES + 2 * PREDICTIONS
+#: Candidates per level and guide: {prediction, thresholded difference from it} x {everywhere, empty surrounding}.
+PER_GUIDE = 4
+ZERO, ONE, EIGHTH = np.float32(0.0), np.float32(1.0), np.float32(0.125)
+NARROW, WIDE = np.float32(1.0 / CLASS_NARROW), np.float32(1.0 / CLASS_WIDE)
+
+
+@njit(cache=True, inline="always", fastmath=True)
+def _class_weight(energy: Any) -> Any:
+    """Smoothly 1 where the neighbourhood is empty, 0 where it is full: a cheap stand-in for exp(-energy)."""
+    rest = max(ZERO, ONE - EIGHTH * energy)
+    rest *= rest
+    rest *= rest
+    return rest * rest
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def surroundings(s_beside: Array, energy: Array, variance: Array, alpha: float) -> tuple[Array, Array, Array]:
+    """Noise level without the block's own share, and the two class weights; none depends on the block's own pixels."""
+    rows, cols = s_beside.shape
+    rest = np.empty((rows, cols), s_beside.dtype)
+    narrow = np.empty((rows, cols), s_beside.dtype)
+    wide = np.empty((rows, cols), s_beside.dtype)
+    own = np.float32(OWN * alpha)
+    other = np.float32((1.0 - OWN) * alpha)
+    floor = np.float32(0.25 * alpha * alpha + 1e-9)
+    for r in range(rows):
+        for c in range(cols):
+            beside = max(s_beside[r, c], ZERO)
+            base = variance[r, c] + other * beside + floor
+            x = energy[r, c] / (base + own * beside)
+            rest[r, c] = base
+            narrow[r, c] = _class_weight(x * NARROW)
+            wide[r, c] = _class_weight(x * WIDE)
+    return rest, narrow, wide
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def bumps(d: Array, s: Array, rest: Array, guide: Array, own: float, width: float) -> Array:
+    """Share of each block's details (less the guide's) that the threshold keeps as noise-like: 1 at 0, 0 far out."""
+    rows, cols = s.shape
+    out = np.empty((rows, cols), d.dtype)
+    own32 = np.float32(own)
+    scale = np.float32(0.25 / width)
+    for r in range(rows):
+        for c in range(cols):
+            a, b, e = d[0, r, c] - guide[0, r, c], d[1, r, c] - guide[1, r, c], d[2, r, c] - guide[2, r, c]
+            level = rest[r, c] + own32 * max(s[r, c], ZERO)
+            left = max(ZERO, ONE - scale * (a * a + b * b + e * e) / level)
+            left *= left
+            out[r, c] = left * left
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def linear_terms(d: Array, y: Array, v: Array, step_mean: float, bands: float) -> Array:
+    """Risk terms of the details themselves, per block; ``y`` and ``v`` (child, rows, cols) as in `threshold_terms`."""
+    rows, cols = d.shape[1:]
+    out = np.empty((rows, cols), d.dtype)
+    for r in range(rows):
+        for c in range(cols):
+            y0, y1, y2, y3 = y[0, r, c], y[1, r, c], y[2, r, c], y[3, r, c]
+            part = d[0, r, c] * (y0 - y1 + y2 - y3) + d[1, r, c] * (y0 + y1 - y2 - y3)
+            part += d[2, r, c] * (y0 - y1 - y2 + y3)
+            noise = step_mean * (y0 + y1 + y2 + y3) + v[0, r, c] + v[1, r, c] + v[2, r, c] + v[3, r, c]
+            out[r, c] = part - bands * noise
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def threshold_terms(
+    d: Array,
+    s: Array,
+    rest: Array,
+    guide: Array,
+    own: float,
+    width: float,
+    y: Array,
+    v: Array,
+    stencil: tuple[float, float, float, float],
+    bands: float,
+) -> Array:
+    """Unbiased estimates, per block, of x times what the thresholded details (less the guide's) add to the image.
+
+    ``y[k]`` holds the data of the block's k-th child weighted with what a detail adds to those pixels in the
+    synthesis; ``v[k]`` the same of the Gaussian variance.
+    """
+    rows, cols = s.shape
+    out = np.empty((rows, cols), d.dtype)
+    step = stencil[0]
+    for r in range(rows):
+        for c in range(cols):
+            a, b, e = d[0, r, c] - guide[0, r, c], d[1, r, c] - guide[1, r, c], d[2, r, c] - guide[2, r, c]
+            total = 0.0
+            for k in range(4):
+                sign_a = 1.0 - 2.0 * (k & 1)
+                sign_b = 1.0 - (k & 2)
+                sign_e = sign_a * sign_b
+                yk, vk = y[k, r, c], v[k, r, c]
+                if yk == 0.0 and vk == 0.0:
+                    continue
+                for side in range(3):
+                    share = stencil[side + 1]
+                    if share == 0.0:
+                        continue
+                    more = step * (side - 1)
+                    block = s[r, c] + more
+                    level = rest[r, c] + own * max(block, 0.0)
+                    p, q, t = a + sign_a * more, b + sign_b * more, e + sign_e * more
+                    if bands == 1.0:
+                        q = t = 0.0
+                    signed = sign_a * p + sign_b * q + sign_e * t
+                    x = 0.25 / width * (p * p + q * q + t * t) / level
+                    left = max(0.0, 1.0 - x)
+                    cube = left * left * left
+                    slope = 0.5 / width * signed / level - (x * own / level if block > 0.0 else 0.0)
+                    value = cube * left * signed
+                    # Every detail changes by its sign; the signs' squares sum to the number of bands.
+                    change = cube * left * bands - 4.0 * cube * slope * signed
+                    total += share * (yk * value - vk * change)
+            out[r, c] = total
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _difference(out: Array, a: Array, dr: int, dc: int, sign: float) -> None:
+    """Add a[place - (dr, dc)] + sign * a[place + (dr, dc)] where both exist."""
+    rows, cols = a.shape
+    factor = np.float32(sign)
+    for r in range(abs(dr), rows - abs(dr)):
+        for c in range(abs(dc), cols - abs(dc)):
+            out[r, c] += a[r - dr, c - dc] + factor * a[r + dr, c + dc]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def predictions(d: Array, s: Array, length: int, flat: bool) -> Array:
+    """Predictions of the details from the blocks one ``length`` away, (prediction, band, rows, cols).
+
+    Across scales: the difference of the block sums on both sides, a detail of the next coarser kind. Within the band:
+    the details beside, along the edge that a detail means, and across it. None contains a pixel of the block itself.
+    """
+    out = np.zeros((PREDICTIONS, *d.shape), d.dtype)
+    n = length
+    _difference(out[0, 0], s, 0, n, -1.0)
+    _difference(out[2, 0], d[0], 0, n, 1.0)
+    if flat:
+        return out
+    _difference(out[1, 0], d[0], n, 0, 1.0)
+    _difference(out[0, 1], s, n, 0, -1.0)
+    _difference(out[1, 1], d[1], 0, n, 1.0)
+    _difference(out[2, 1], d[1], n, 0, 1.0)
+    _difference(out[0, 2], s, n, n, 1.0)
+    out[0, 2] *= np.float32(-1.0)
+    _difference(out[0, 2], s, n, -n, 1.0)
+    out[0, 2] *= np.float32(-1.0)
+    _difference(out[1, 2], d[2], n, n, 1.0)
+    _difference(out[1, 2], d[2], n, -n, 1.0)
+    _difference(out[2, 2], d[2], n, 0, 1.0)
+    _difference(out[2, 2], d[2], 0, n, 1.0)
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def combine(d: Array, bump: Array, narrow: Array, wide: Array, predicted: Array, w: Array) -> None:
+    """Replace the details by the weighted sum of their spatial candidates."""
+    bands, rows, cols = d.shape
+    w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
+    a0, a1, b0, b1, c0, c1 = w[6], w[7], w[8], w[9], w[10], w[11]
+    for r in range(rows):
+        for c in range(cols):
+            g, h = narrow[r, c], wide[r, c]
+            factor = (w0 + w1 * g + w2 * h) + bump[r, c] * (w3 + w4 * g + w5 * h)
+            pa, pb, pc = a0 + a1 * g, b0 + b1 * g, c0 + c1 * g
+            for o in range(bands):
+                value = factor * d[o, r, c] + pa * predicted[0, o, r, c]
+                d[o, r, c] = value + pb * predicted[1, o, r, c] + pc * predicted[2, o, r, c]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def combine_guide(out: Array, d: Array, guide: Array, bump: Array, narrow: Array, w: Array) -> None:
+    """Add the weighted candidates of one guide; ``d`` are the details before `combine`."""
+    bands, rows, cols = d.shape
+    w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
+    for r in range(rows):
+        for c in range(cols):
+            g = narrow[r, c]
+            direct = w0 + w1 * g
+            shrunk = bump[r, c] * (w2 + w3 * g)
+            for o in range(bands):
+                v = guide[o, r, c]
+                out[o, r, c] += direct * v + shrunk * (d[o, r, c] - v)
