@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,7 +86,7 @@ def autocorrelation(sample: Sample, n_lags: int) -> NDArray[np.float64]:
         for lag in range(min(n_lags, len(part) - 1)):
             total[lag] += float(part[: len(part) - lag] @ part[lag:])
             weight[lag] += len(part) - lag
-    return np.divide(total, weight, out=np.full(n_lags, np.nan), where=weight > 0)
+    return np.asarray(np.divide(total, weight, out=np.full(n_lags, np.nan), where=weight > 0))
 
 
 def dwell_frames(lit: NDArray[np.bool_], state: bool) -> NDArray[np.int64]:
@@ -112,7 +113,7 @@ def _longer(lengths: NDArray[np.int64], n_frames: int) -> NDArray[np.float64]:
     return np.asarray((lengths[:, None] > np.arange(n_frames)).mean(axis=0))
 
 
-def _histograms(name: str, values: dict[str, NDArray[np.floating]], x_label: str) -> Distribution:
+def _histograms(name: str, values: Mapping[str, NDArray[np.floating]], x_label: str) -> Distribution:
     together = np.concatenate([v for v in values.values() if len(v)])
     low, high = np.percentile(together, [0.05, 99.95])
     first = next(iter(values.values()))

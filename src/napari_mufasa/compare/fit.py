@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.effects.base import effect_class
+from napari_mufasa.effects.base import effect_from_data
 from napari_mufasa.model import Model
 from napari_mufasa.traces import TraceSet
 from napari_mufasa.traces.select import Dynamics, dynamics
@@ -111,7 +111,7 @@ def _with_bleaching(model: Model, real: _Moments, values: dict[str, float]) -> M
     if rate <= 0:
         return plain
     exposure = model.acquisition.frame_length_s / model.acquisition.interval_s
-    return plain.with_effects(effect_class("photobleaching")(rate_per_s=float(rate / exposure)))
+    return plain.with_effects(effect_from_data({"kind": "photobleaching", "rate_per_s": float(rate / exposure)}))
 
 
 def _with_spread(model: Model, real: _Moments, made: _Moments, values: dict[str, float]) -> Model:
@@ -119,7 +119,7 @@ def _with_spread(model: Model, real: _Moments, made: _Moments, values: dict[str,
     have = next((e.spread for e in model.effects if e.kind == "brightness_heterogeneity"), 0.0)  # type: ignore[attr-defined]
     spread = float(np.sqrt(max(0.0, have**2 + real.spread**2 - made.spread**2)))
     values["brightness_heterogeneity.spread"] = spread
-    return model.with_effects(effect_class("brightness_heterogeneity")(spread=min(spread, 3.0)))
+    return model.with_effects(effect_from_data({"kind": "brightness_heterogeneity", "spread": min(spread, 3.0)}))
 
 
 def _background_e(model: Model) -> float:

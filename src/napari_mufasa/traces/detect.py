@@ -105,7 +105,9 @@ def candidates(
 
     level = threshold_level(image, method, value)
     distance = max(1, round(sigma_px))
-    peaks = peak_local_max(image, min_distance=distance, threshold_abs=level, exclude_border=False)
+    peaks = peak_local_max(  # type: ignore[no-untyped-call]
+        image, min_distance=distance, threshold_abs=level, exclude_border=False
+    )
     if len(peaks) == 0:
         return np.empty((0, 2)), np.empty(0), level
     return peaks + _parabola(image, peaks), image[tuple(peaks.T)].astype(float), level
@@ -118,16 +120,16 @@ def threshold_level(image: Image, method: Threshold, value: float | None) -> flo
         k = 6.0 if value is None else float(value)
         if k <= 0:
             raise MufasaError(f"threshold = {k}: the number of noise sd must be above 0")
-        return float(max(k, np.median(image) + k * _lower_spread(image)))
+        return max(k, float(np.median(image)) + k * _lower_spread(image))
     if method == "percentile":
         p = 98.0 if value is None else float(value)
         if not 0 <= p <= 100:
             raise MufasaError(f"threshold = {p}: a percentile lies in 0 … 100")
         return float(np.percentile(image, p))
     if method == "otsu":
-        return float(filters.threshold_otsu(image))
+        return float(filters.threshold_otsu(image))  # type: ignore[no-untyped-call]
     if method == "triangle":
-        return float(filters.threshold_triangle(image))
+        return float(filters.threshold_triangle(image))  # type: ignore[no-untyped-call]
     raise MufasaError(f"threshold method {method!r} is unknown: choose sigma, percentile, otsu or triangle")
 
 
@@ -160,7 +162,7 @@ def _smooth_floor(variance: NDArray[np.float64]) -> NDArray[np.float64]:
     grid = ndimage.median_filter(grid, 3, mode="nearest")
     zoom = [n / g for n, g in zip(variance.shape, grid.shape, strict=True)]
     smooth = ndimage.zoom(grid, zoom, order=1, mode="nearest", grid_mode=True)
-    return np.maximum(smooth, 1e-12)
+    return np.asarray(np.maximum(smooth, 1e-12))
 
 
 def estimate_sigma_px(frames: Frames, n_spots: int = 40) -> float | None:

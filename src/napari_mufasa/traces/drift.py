@@ -34,7 +34,10 @@ def common_motion(
             if reference is None:
                 reference, shift = image, np.zeros(2)
             else:
-                shift = -phase_cross_correlation(reference, image, upsample_factor=50, normalization=None)[0]
+                found = phase_cross_correlation(  # type: ignore[no-untyped-call]
+                    reference, image, upsample_factor=50, normalization=None
+                )
+                shift = -found[0]
                 back = ndimage.shift(image, -shift, order=1, mode="nearest")
                 reference = 0.8 * reference + 0.2 * back
             times.append(start + i + (len(part) - 1) / 2)
@@ -42,4 +45,4 @@ def common_motion(
     moved = np.asarray(shifts)
     t = np.arange(frames.n_frames)
     motion = np.stack([np.interp(t, times, moved[:, axis]) for axis in range(2)], axis=1)
-    return motion - motion[0]
+    return np.asarray(motion - motion[0])

@@ -100,12 +100,12 @@ class TraceSet:
 
     @property
     def kept(self) -> NDArray[np.bool_]:
-        return self.molecules["kept"].to_numpy(dtype=bool)
+        return np.asarray(self.molecules["kept"], dtype=bool)
 
     @property
     def positions_px(self) -> NDArray[np.float64]:
         """(candidate, 2) positions (y, x) of all candidates."""
-        return self.molecules[["y_px", "x_px"]].to_numpy(dtype=float)
+        return np.asarray(self.molecules[["y_px", "x_px"]], dtype=np.float64)
 
     def with_kept(self, molecules: Sequence[int], kept: bool = True, reason: str = "rejected by hand") -> TraceSet:
         """A copy in which these molecules (ids) are kept, or rejected for `reason`: the choice by hand."""
@@ -291,7 +291,7 @@ def _inside(positions: NDArray[np.float64], roi: Any, shape_px: tuple[int, int])
         return np.ones(len(positions), dtype=bool)
     mask = roi_mask(roi, shape_px)
     y, x = np.clip(np.rint(positions).astype(int), 0, np.array(shape_px) - 1).T
-    return mask[y, x]
+    return np.asarray(mask[y, x])
 
 
 def roi_mask(roi: Any, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
@@ -303,7 +303,7 @@ def roi_mask(roi: Any, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
     polygons = [np.asarray(p, dtype=float) for p in roi]
     if not polygons or any(p.ndim != 2 or p.shape[0] < 3 or p.shape[1] < 2 for p in polygons):
         raise MufasaError(f"roi must be a mask of shape {tuple(shape_px)} or a list of polygons (vertex, 2)")
-    masks = [polygon2mask(shape_px, p[:, -2:]) for p in polygons]
+    masks = [polygon2mask(shape_px, p[:, -2:]) for p in polygons]  # type: ignore[no-untyped-call]
     return np.asarray(np.logical_or.reduce(masks), dtype=bool)
 
 

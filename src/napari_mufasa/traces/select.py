@@ -135,7 +135,7 @@ def judge(table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_
         reason[new] = texts[new]
 
     def column(name: str) -> NDArray[np.float64]:
-        return table[name].to_numpy(dtype=float)
+        return np.asarray(table[name], dtype=np.float64)
 
     y, x = column("y_px"), column("x_px")
     edge = np.minimum.reduce([y + 0.5, x + 0.5, shape[1] - 0.5 - y, shape[2] - 0.5 - x])

@@ -83,7 +83,7 @@ def critical_value(n_frames: int, false_alarm_rate: float, min_segment: int = MI
 def _kernel() -> Any:
     import numba
 
-    @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+    @numba.njit(cache=True, nogil=True)
     def kernel(trace, lengths, limits, min_segment):  # type: ignore[no-untyped-def]
         n = trace.size
         starts = [0]
