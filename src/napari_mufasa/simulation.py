@@ -154,13 +154,15 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
     """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects."""
     if isinstance(n_frames, bool) or not isinstance(n_frames, (int, np.integer)) or n_frames < 1:
         raise MufasaError(f"n_frames = {n_frames!r}: give a whole number ≥ 1")
-    acquisition = model.acquisition.model_copy(update={"n_frames": int(n_frames)})
+    # Slow courses keep the movie's pace: the dark frames are as if taken at its beginning.
+    frames = max(int(n_frames), model.acquisition.n_frames)
+    acquisition = model.acquisition.model_copy(update={"n_frames": frames})
     optics = model.optics.model_copy(update={"background_photons_per_px": 0.0})
     dark_model = model.model_copy(update={"acquisition": acquisition, "optics": optics})
-    # A name of its own keeps the dark frames' chance apart from the movie's, the sensor's patterns the same.
+    # The sensor's patterns are the movie's (same seed); its noise is not.
     scene = build_scene(dark_model, np.empty((0, 2)), Streams(seed))
     scene.streams = Streams(seed + 2**32)
-    return scene.record(np.empty((0, n_frames), dtype=np.int64), 0, n_frames).movie
+    return scene.record(np.empty((0, frames), dtype=np.int64), 0, int(n_frames)).movie
 
 
 def _emit(scene: Scene, engine: Engine) -> NDArray[np.int64]:

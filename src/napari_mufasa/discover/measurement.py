@@ -1,0 +1,104 @@
+"""A measurement made ready for diagnosis: checked, cropped to an affordable size, its model fitted to its form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.model import Model
+
+FRAMES = 600  # a diagnosis looks at no more frames …
+VOXELS = 9_000_000  # … and pixels times frames than this
+DARK_FRAMES = 60
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """movie (frame, y, x) and dark (frame, y, x) or None, both uint16 ADU; the model in the movie's own shape."""
+
+    movie: NDArray[np.uint16]
+    dark: NDArray[np.uint16] | None
+    model: Model
+    notes: tuple[str, ...]
+
+
+def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
+    """Check and crop. Lazy arrays are read only where needed. Raises `MufasaError` on unusable input."""
+    shape = _check(movie, "movie")
+    notes = []
+    frames = min(shape[0], FRAMES)
+    if frames < 20:
+        raise MufasaError(f"the movie has {shape[0]} frames: a diagnosis needs at least 20")
+    if frames < shape[0]:
+        notes.append(f"The first {frames} of {shape[0]} frames were used.")
+    rows, columns = _crop(shape[1:], VOXELS // frames)
+    if (rows.stop - rows.start, columns.stop - columns.start) != shape[1:]:
+        notes.append(
+            f"A central region of {rows.stop - rows.start} × {columns.stop - columns.start} of "
+            f"{shape[1]} × {shape[2]} pixels was used."
+        )
+    region = (slice(0, frames), rows, columns)
+    data = _counts(np.asarray(movie[region]), "movie", model)
+    dark_data = None
+    if dark is not None:
+        dark_shape = _check(dark, "dark frames")
+        if dark_shape[1:] != shape[1:]:
+            raise MufasaError(
+                f"dark frames are {dark_shape[1:]} pixels, the movie {shape[1:]}: record both with the same region"
+            )
+        if dark_shape[0] < 5:
+            raise MufasaError(f"{dark_shape[0]} dark frames are too few: give at least 5, better 50")
+        dark_data = _counts(np.asarray(dark[: min(dark_shape[0], DARK_FRAMES), rows, columns]), "dark frames", model)
+    return Measurement(data, dark_data, _reshaped(model, shape, region), tuple(notes))
+
+
+def _check(movie: Any, what: str) -> tuple[int, int, int]:
+    shape = tuple(int(n) for n in getattr(movie, "shape", ()))
+    if len(shape) != 3 or 0 in shape:
+        raise MufasaError(f"the {what} has shape {shape}: needs a non-empty stack (frame, y, x)")
+    if min(shape[1:]) < 24:
+        raise MufasaError(f"the {what} is {shape[1]} × {shape[2]} pixels: a diagnosis needs at least 24 × 24")
+    if np.dtype(movie.dtype).kind not in "uif":
+        raise MufasaError(f"the {what} holds {movie.dtype}: needs counts (ADU)")
+    return shape[0], shape[1], shape[2]
+
+
+def _counts(data: NDArray[Any], what: str, model: Model) -> NDArray[np.uint16]:
+    if data.dtype.kind == "f" and not np.isfinite(data).all():
+        raise MufasaError(f"the {what} holds values that are not numbers: export the raw counts (ADU)")
+    if data.min() < 0 or data.max() > 65535:
+        raise MufasaError(f"the {what} spans {data.min()} … {data.max()}: needs raw counts from 0 to 65535")
+    if data.min() == data.max():
+        raise MufasaError(f"every pixel of the {what} is {data.min()}: nothing was recorded")
+    return np.ascontiguousarray(np.rint(data) if data.dtype.kind == "f" else data).astype(np.uint16)
+
+
+def _crop(shape: tuple[int, int], area: int) -> tuple[slice, slice]:
+    """A central region of at most `area` pixels, as square as the field allows."""
+    height, width = shape
+    side = int(np.sqrt(area))
+    h = min(height, max(side, area // width))
+    w = min(width, max(side, area // h) if h else width)
+    top, left = (height - h) // 2, (width - w) // 2
+    return slice(top, top + h), slice(left, left + w)
+
+
+def _reshaped(model: Model, shape: tuple[int, int, int], region: tuple[slice, slice, slice]) -> Model:
+    frames, rows, columns = region
+    size = (rows.stop - rows.start, columns.stop - columns.start)
+    values: dict[str, Any] = {
+        "acquisition.n_frames": frames.stop,
+        "acquisition.shape_px": size,
+        "sample.layout": "random",
+    }
+    for name in ("offset_map_adu", "gain_map", "variance_map_e2"):
+        value = getattr(model.camera, name)
+        if value is not None:
+            if value.shape != shape[1:]:
+                raise MufasaError(f"camera.{name} is {value.shape}, the movie {shape[1:]}: give a map of the movie")
+            values[f"camera.{name}"] = value[rows, columns]
+    return model.with_values(values)

@@ -1,0 +1,98 @@
+"""Nuisance values: what is re-fitted before anything is called missing (SPEC.md §9).
+
+Each is a coordinate with a natural step; 0 is the model it started from. Brightness, background, PSF width,
+baseline and density are free; gain and read noise may move only as far as data sheets are wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from napari_mufasa.model import Model
+from napari_mufasa.observe import photoelectrons_per_adu
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A value of the model, its scale ("log" or units of its own), step for derivatives and prior width."""
+
+    path: str
+    log: bool
+    step: float
+    prior: float
+
+    def moved(self, model: Model, by: float) -> dict[str, Any]:
+        """The changed value, as `Model.with_values` takes it."""
+        value = _get(model, self.path)
+        new = value * np.exp(by) if self.log else value + by
+        if self.path == "sample.n_molecules":
+            return {self.path: max(1, round(new))}
+        return {self.path: max(float(new), 0.0)}
+
+
+def nuisances(model: Model) -> list[Nuisance]:
+    """The nuisance values of a model: rates that it has, and what every movie has."""
+    adu = 0.3 / photoelectrons_per_adu(model)  # 0.3 photoelectrons
+    found = [
+        Nuisance("optics.brightness_correction", True, 0.08, 0.5),
+        Nuisance("optics.background_photons_per_px", True, 0.08, 0.5),
+        Nuisance("optics.psf_fwhm_nm", True, 0.05, 0.2),
+        Nuisance("camera.baseline_adu", False, adu, 8 * adu),
+        Nuisance("sample.n_molecules", True, 0.15, 0.4),
+        Nuisance("camera.electrons_per_adu", True, 0.05, 0.03),
+        Nuisance("camera.read_noise_e", True, 0.1, 0.08),
+        Nuisance("fluorophore.cycles_before_bleaching", True, 0.4, 0.15),
+        Nuisance("fluorophore.isc_ratio", True, 0.3, 0.12),
+        Nuisance("fluorophore.triplet_decay_rate_per_s", True, 0.3, 0.12),
+    ]
+    return [n for n in found if _present(model, n)]
+
+
+def apply(model: Model, names: list[Nuisance], by: np.ndarray[Any, np.dtype[np.float64]]) -> Model:
+    """The model with nuisance coordinates moved by `by` (one per nuisance)."""
+    values: dict[str, Any] = {}
+    for nuisance, step in zip(names, by, strict=True):
+        values |= nuisance.moved(model, float(np.clip(step, -1.5, 1.5) if nuisance.log else step))
+    return model.with_values(values)
+
+
+def match(model: Model, measured: Mapping[str, float], simulated: Mapping[str, float]) -> Model:
+    """One round of matching by moments: brightness, width, density, baseline and background."""
+    scale = photoelectrons_per_adu(model)
+    factor = float(np.exp(np.clip(measured["level"] - simulated["level"], -1.5, 1.5)))
+    width = model.sigma_px**2 + measured["spot_width_early"] - simulated["spot_width_early"]
+    width_factor = np.sqrt(np.clip(width / model.sigma_px**2, 0.5, 2.0))
+    spots = (measured["spots"] / max(simulated["spots"], 0.5)) ** 2
+    surplus = measured["background"] - simulated["background"]  # photoelectrons, offset and light together
+    if "dark_mean" in measured:
+        offset_adu = measured["dark_mean"] - simulated["dark_mean"]
+    else:  # light brings variance, an offset does not
+        more_variance = np.exp(measured["background_variance"]) - np.exp(simulated["background_variance"])
+        alpha = 2.0 if model.camera.type == "EMCCD" else 1.0
+        offset_adu = (surplus - more_variance / alpha) / scale
+    light = (surplus - offset_adu * scale) / model.camera.quantum_efficiency
+    return model.with_values(
+        {
+            "optics.brightness_correction": model.optics.brightness_correction * factor,
+            "optics.psf_fwhm_nm": model.optics.psf_fwhm_nm * float(width_factor),
+            "optics.background_photons_per_px": max(model.optics.background_photons_per_px + light, 0.0),
+            "camera.baseline_adu": max(model.camera.baseline_adu + offset_adu, 0.0),
+            "sample.n_molecules": int(np.clip(round(model.sample.n_molecules * np.clip(spots, 0.2, 5)), 1, 5000)),
+        }
+    )
+
+
+def _get(model: Model, path: str) -> Any:
+    value: Any = model
+    for part in path.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def _present(model: Model, nuisance: Nuisance) -> bool:
+    value = _get(model, nuisance.path)
+    return value is not None and (value > 0 or not nuisance.log)

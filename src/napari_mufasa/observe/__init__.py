@@ -1,0 +1,112 @@
+"""What a movie shows: about a hundred named numbers, the same for measured and simulated movies.
+
+`observe` treats both alike: it finds the spots itself, so that whatever detection misses or merges, it misses
+and merges in both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from napari_mufasa.observe import field, summary
+from napari_mufasa.observe.pixels import block_means, pixel_statistics
+from napari_mufasa.observe.spots import BLOCKS, Spots, find_spots, follow
+from napari_mufasa.observe.summary import Part
+from napari_mufasa.observe.table import Meaning, Table
+
+if TYPE_CHECKING:
+    from napari_mufasa.model import Model
+
+PARTS = ("all", "fit", "held_out")
+TILES = 6  # the field is a checkerboard of about TILES × TILES tiles: white to fit, black to test
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Observables of one movie: (part, observable) values in a fixed order, and what they were made from."""
+
+    values: NDArray[np.float64]
+    names: tuple[str, ...]
+    meanings: dict[str, Meaning]
+    spots: Spots
+    course: NDArray[np.float64]  # (frame,) background, photoelectrons
+
+    def part(self, name: str) -> NDArray[np.float64]:
+        result: NDArray[np.float64] = self.values[PARTS.index(name)]
+        return result
+
+
+def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | None = None) -> Observation:
+    """Observables of a movie (frame, y, x) ADU, and of its dark frames.
+
+    `model` gives the camera's units and the PSF width to look for; nothing else of it is used. Peak memory:
+    a few images and courses beside the movie.
+    """
+    movie = _counts(movie)
+    camera = model.camera
+    scale = photoelectrons_per_adu(model)
+    sigma = model.sigma_px
+    blocks = block_means(movie, min(BLOCKS, len(movie)))
+    path, positions, significance = find_spots(blocks, sigma)
+    spots = follow(movie, blocks, camera.baseline_adu, scale, sigma, path, positions, significance)
+    tiles = checkerboard(movie.shape[1:])
+    label = np.where(_near_spots(movie.shape[1:], spots, 4 * sigma), 0, tiles).astype(np.int8)
+    pixels = pixel_statistics(movie, camera.baseline_adu, label, 2)
+    at = np.clip(np.rint(positions).astype(int), 0, np.array(movie.shape[1:]) - 1)
+    side = tiles[at[:, 0], at[:, 1]]
+    dark_pixels = None
+    if dark is not None:
+        dark = _counts(dark)
+        dark_pixels = pixel_statistics(dark, camera.baseline_adu, tiles, 2)
+    tables = []
+    for labels in ((1, 2), (1,), (2,)):
+        table = Table()
+        part = Part(labels, np.isin(side, labels))
+        summary.molecules(table, spots, part, movie.shape[1:])
+        field.background(table, pixels, spots, label, tiles, part, scale)
+        if dark is not None and dark_pixels is not None:
+            field.dark(table, dark_pixels, tiles, part, scale, len(dark))
+        tables.append(table)
+    names = tuple(tables[0].values)
+    values = np.array([list(t.values.values()) for t in tables])
+    course = pixels.row_sum[1:].sum(axis=(0, 2)) * scale / max(int((label > 0).sum()), 1)
+    return Observation(values, names, tables[0].meanings, spots, course)
+
+
+def photoelectrons_per_adu(model: Model) -> float:
+    """Photoelectrons per ADU near zero signal."""
+    camera = model.camera
+    if camera.type == "CMOS":
+        (x0, y0), (x1, y1) = camera.cmos_gain_curve[:2]
+        return camera.electrons_per_adu * (x1 - x0) / (y1 - y0)
+    return camera.electrons_per_adu / float(camera.em_gain or 1.0)
+
+
+def checkerboard(shape: tuple[int, ...]) -> NDArray[np.int8]:
+    """(y, x) of 1 and 2 in tiles."""
+    size = max(4, int(np.ceil(max(shape) / TILES)))
+    y, x = np.indices(shape)
+    return ((y // size + x // size) % 2 + 1).astype(np.int8)
+
+
+def _counts(movie: NDArray[Any]) -> NDArray[np.uint16]:
+    if movie.dtype == np.uint16:
+        return np.ascontiguousarray(movie)
+    return np.clip(np.rint(movie), 0, 65535).astype(np.uint16)
+
+
+def _near_spots(shape: tuple[int, ...], spots: Spots, reach_px: float) -> NDArray[np.bool_]:
+    far = np.ones(shape, dtype=bool)
+    for step in spots.path_px:
+        at = np.rint(spots.positions_px + step).astype(int)
+        inside = np.all((at >= 0) & (at < shape), axis=1)
+        far[tuple(at[inside].T)] = False
+    if far.all():
+        return np.zeros(shape, dtype=bool)
+    result: NDArray[np.bool_] = ndimage.distance_transform_edt(far) < reach_px
+    return result

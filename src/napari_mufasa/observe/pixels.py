@@ -1,0 +1,145 @@
+"""Statistics of every pixel, in one pass over the movie.
+
+Everything here is plain counting; `summary` turns it into named observables. Pixels carry a label: 0 spots
+and their surroundings, 1 … background of a part of the field, so that parts can be summarised apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+COMB = 8  # counts are also looked at modulo this, to see coarse or merged digits
+
+
+@dataclass(frozen=True)
+class PixelStatistics:
+    """Per pixel (y, x) unless said otherwise; ADU above the baseline, variances in ADU².
+
+    mean, variance, skewness : over all frames
+    step_variance (half, y, x) : half the mean squared difference of successive frames, in each half of the movie
+    lag1, lag2 : autocovariance over frames
+    right, below (y − 1, x − 1) : covariance with the next pixel along x and y
+    row_sum (part, frame, y), column_sum (part, frame, x) : sums over the labelled pixels
+    comb (part, `COMB`) : how often counts have each remainder
+    peak, peak_frame : largest value and where in time; second : the next largest, anywhere else in time
+    """
+
+    n_frames: int
+    mean: Array
+    variance: Array
+    skewness: Array
+    step_variance: Array
+    lag1: Array
+    lag2: Array
+    right: Array
+    below: Array
+    row_sum: Array
+    column_sum: Array
+    comb: NDArray[np.int64]
+    peak: Array
+    peak_frame: NDArray[np.int64]
+    second: Array
+
+
+def block_means(movie: NDArray[Any], n_blocks: int) -> NDArray[np.float32]:
+    """(block, y, x) means over successive, nearly equal blocks of frames."""
+    edges = np.linspace(0, len(movie), n_blocks + 1).round().astype(int)
+    return np.stack([movie[a:b].mean(axis=0, dtype=np.float32) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+
+
+def pixel_statistics(
+    movie: NDArray[np.uint16], baseline_adu: float, label: NDArray[np.int8], parts: int
+) -> PixelStatistics:
+    """One pass over (frame, y, x); `label` is (y, x) with values 0 … parts."""
+    n = len(movie)
+    (s1, s2, s3, step, l1, l2, right, below, rows, columns, comb, peak, peak_frame, second) = _kernel()(
+        movie, float(baseline_adu), np.ascontiguousarray(label), parts
+    )
+    mean = s1 / n
+    variance = s2 / n - mean**2
+    third = s3 / n - 3 * mean * s2 / n + 2 * mean**3
+    first, last = movie[0] - baseline_adu, movie[-1] - baseline_adu
+    return PixelStatistics(
+        n_frames=n,
+        mean=mean,
+        variance=variance,
+        skewness=third / np.maximum(variance, 1e-9) ** 1.5,
+        step_variance=step / max(n - 1, 1),  # each half holds half of the n − 1 differences
+        lag1=_autocovariance(l1, s1, mean, first, last, n, 1),
+        lag2=_autocovariance(l2, s1, mean, first, last, n, 2),
+        right=_inner(right, n) - mean[:-1, :-1] * mean[:-1, 1:],
+        below=_inner(below, n) - mean[:-1, :-1] * mean[1:, :-1],
+        row_sum=rows,
+        column_sum=columns,
+        comb=comb,
+        peak=peak,
+        peak_frame=peak_frame,
+        second=second,
+    )
+
+
+def _autocovariance(products: Array, total: Array, mean: Array, first: Array, last: Array, n: int, lag: int) -> Array:
+    # Edge frames are missing from the product sum once each; one frame's share is enough at lags 1 and 2.
+    pairs = max(n - lag, 1)
+    edge = lag * (first + last) / 2
+    result: Array = (products - mean * (2 * total - 2 * edge) + pairs * mean**2) / pairs
+    return result
+
+
+def _inner(products: Array, n: int) -> Array:
+    return products[:-1, :-1] / n
+
+
+@cache
+def _kernel() -> Any:
+    import numba
+
+    @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+    def kernel(movie, baseline, label, parts):  # type: ignore[no-untyped-def]
+        n, height, width = movie.shape
+        shape = (height, width)
+        s1, s2, s3 = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        step, l1, l2 = np.zeros((2, height, width)), np.zeros(shape), np.zeros(shape)
+        right, below = np.zeros(shape), np.zeros(shape)
+        rows, columns = np.zeros((parts + 1, n, height)), np.zeros((parts + 1, n, width))
+        comb = np.zeros((parts + 1, COMB), dtype=np.int64)
+        peak, second = np.full(shape, -np.inf), np.full(shape, -np.inf)
+        peak_frame = np.zeros(shape, dtype=np.int64)
+        for t in range(n):
+            for y in range(height):
+                for x in range(width):
+                    raw = movie[t, y, x]
+                    v = raw - baseline
+                    s1[y, x] += v
+                    s2[y, x] += v * v
+                    s3[y, x] += v * v * v
+                    if t > 0:
+                        before = movie[t - 1, y, x] - baseline
+                        step[2 * t // n, y, x] += (v - before) * (v - before)
+                        l1[y, x] += v * before
+                    if t > 1:
+                        l2[y, x] += v * (movie[t - 2, y, x] - baseline)
+                    if x + 1 < width:
+                        right[y, x] += v * (movie[t, y, x + 1] - baseline)
+                    if y + 1 < height:
+                        below[y, x] += v * (movie[t, y + 1, x] - baseline)
+                    if v > peak[y, x]:
+                        if t - peak_frame[y, x] > 1 or peak_frame[y, x] == 0:
+                            second[y, x] = max(second[y, x], peak[y, x])
+                        peak[y, x] = v
+                        peak_frame[y, x] = t
+                    elif v > second[y, x] and t - peak_frame[y, x] > 1:
+                        second[y, x] = v
+                    part = label[y, x]
+                    rows[part, t, y] += v
+                    columns[part, t, x] += v
+                    comb[part, raw % COMB] += 1
+        return s1, s2, s3, step, l1, l2, right, below, rows, columns, comb, peak, peak_frame, second
+
+    return kernel

@@ -1,0 +1,307 @@
+"""Named observables of a movie: what the pixels and the spots say, as numbers a user can read.
+
+Every number has one place here. Molecule numbers are averages over isolated molecules, background numbers
+over pixels away from spots; `Part` chooses which molecules and pixels take part, so that one part of the
+field can be kept out of a fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from napari_mufasa.observe.spots import Spots
+from napari_mufasa.observe.table import Table
+
+Array = NDArray[np.float64]
+LAGS = (1, 2, 3, 5, 10, 20, 50)
+BINS = 5  # time bins of the slow courses
+
+
+@dataclass(frozen=True)
+class Part:
+    """Which part of the field: pixel labels, and molecules."""
+
+    labels: tuple[int, ...]
+    molecules: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class OnStates:
+    """Where molecules are on: trace smoothed over five frames above half its top level."""
+
+    light: Array  # (molecule, frame)
+    level: Array  # (molecule,) mean light while on
+    on: NDArray[np.bool_]
+    first: Array
+    last: Array
+
+    @classmethod
+    def of(cls, light: Array) -> OnStates:
+        smooth = ndimage.uniform_filter1d(light, 5, axis=1, mode="nearest")
+        top = np.quantile(smooth, 0.9, axis=1, keepdims=True) if light.size else np.zeros((len(light), 1))
+        # A molecule lit for a short time is judged by its own brightest stretch.
+        top = np.maximum(top, 0.6 * smooth.max(axis=1, keepdims=True, initial=0.0))
+        on = smooth > 0.5 * top
+        count = np.maximum(on.sum(axis=1), 1)
+        level = np.maximum((light * on).sum(axis=1) / count, 1e-6)
+        n = light.shape[1]
+        first = np.argmax(on, axis=1) if n else np.zeros(len(light))
+        last = n - 1 - np.argmax(on[:, ::-1], axis=1) if n else np.zeros(len(light))
+        return cls(light, level, on, first.astype(float), last.astype(float))
+
+
+def molecules(table: Table, spots: Spots, part: Part, shape_px: tuple[int, int]) -> None:
+    """Observables of the molecules of a part."""
+    chosen = part.molecules & spots.inside
+    table.count("spots", float(chosen.sum()), "number of spots", "whole movie")
+    keep = chosen & spots.isolated
+    states = OnStates.of(spots.light[keep])
+    _levels(table, states, spots.positions_px[keep], shape_px)
+    _kinetics(table, states)
+    _shape_and_motion(table, spots, keep)
+
+
+def _mean(values: Array, default: float = 0.0) -> float:
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if values.size else default
+
+
+def _quantile(values: Array, q: float, default: float = 0.0) -> float:
+    return float(np.quantile(values, q)) if values.size else default
+
+
+def _levels(table: Table, states: OnStates, positions: Array, shape_px: tuple[int, int]) -> None:
+    logs = np.log(states.level)
+    where = "level of each spot while on"
+    middle = _quantile(logs, 0.5)
+    table.add("level", middle, "brightness of a spot (median)", "ln e⁻", where)
+    table.add("level_spread", _quantile(logs, 0.84) - _quantile(logs, 0.16), "spread of brightness", "ln", where)
+    table.add("level_quantile_low", middle - _quantile(logs, 0.1), "dim spots against the median", "ln", where)
+    table.add("level_quantile_high", _quantile(logs, 0.95) - middle, "bright spots against the median", "ln", where)
+    half = max(shape_px) / 2
+    v = (positions[:, 0] - (shape_px[0] - 1) / 2) / half
+    u = (positions[:, 1] - (shape_px[1] - 1) / 2) / half
+    r2, y, x = _slopes(np.clip(logs - middle, -1.5, 1.5), v, u)
+    table.add("level_position_radial", r2, "brightness against distance from the centre", "ln", "spots")
+    table.add("level_position_tilt", np.hypot(y, x), "brightness tilt across the field", "ln", "spots")
+
+
+def _slopes(values: Array, v: Array, u: Array) -> tuple[float, float, float]:
+    """Coefficients of r², y and x (ridge for few points)."""
+    if len(values) < 6:
+        return 0.0, 0.0, 0.0
+    design = np.stack([v**2 + u**2, v, u, np.ones_like(v)], axis=1)
+    gram = design.T @ design + np.diag([0.5, 0.5, 0.5, 0.0])
+    r2, y, x, _ = np.linalg.solve(gram, design.T @ values)
+    return float(r2), float(y), float(x)
+
+
+def _kinetics(table: Table, states: OnStates) -> None:
+    light, on, level = states.light, states.on, states.level[:, None]
+    n, frames = light.shape
+    relative = light / level
+    t = np.arange(frames)
+    span = (t >= states.first[:, None]) & (t <= states.last[:, None])
+    edge = max(2, frames // 100)
+
+    for q in (0.05, 0.25, 0.75, 0.95):
+        table.add(
+            f"count_quantile_{round(q * 100):02d}", _quantile(relative[on], q, 1.0),
+            f"{q:.0%} quantile of counts while on / level", "", "frames in which molecules are on",
+        )  # fmt: skip
+    table.log("count_variance", _mean((relative[on] - 1) ** 2, 1.0), "relative variance while on", "traces")
+    table.add(
+        "count_dark", _mean((relative < 0.35)[span], 0.0), "dark frames between first and last light", "", "traces"
+    )
+    deviation = np.where(span, relative - 1, 0.0)
+    for lag in LAGS:
+        if lag >= frames:
+            continue
+        pairs = (span[:, lag:] & span[:, :-lag]).sum()
+        covariance = (deviation[:, lag:] * deviation[:, :-lag]).sum() / max(pairs, 1)
+        table.add(f"autocorrelation_{lag}", covariance, f"trace covariance at lag {lag}", "level²", f"lag {lag} frames")
+
+    first, last = states.first / frames, states.last / frames
+    table.add("first_seen_mean", _mean(first), "mean first appearance", "movie", "start of traces")
+    table.add("first_seen_late", _mean(first > 0.05), "molecules that appear late", "", "start of traces")
+    for at in (0.25, 0.5, 0.75):
+        table.add(
+            f"survival_{round(at * 100)}",
+            _mean(last > at, 1.0),
+            f"molecules seen after {at:.0%} of the movie",
+            "",
+            "end of traces",
+        )
+    table.add(
+        "survival_100", _mean(last >= 1 - (edge + 1) / frames, 1.0), "molecules seen to the end", "", "end of traces"
+    )
+    bins = np.minimum(t * BINS // max(frames, 1), BINS - 1)
+    total = max(float(states.level.sum()), 1e-6)
+    for b in range(BINS):
+        table.add(
+            f"ensemble_{b + 1}",
+            light[:, bins == b].mean(axis=1).sum() / total,
+            f"light of all spots, part {b + 1} of {BINS}",
+            "level",
+            f"time bin {b + 1}",
+        )
+    gaps = _gap_lengths(on & span)
+    for low, high, name in ((1, 5, "short"), (6, 19, "middle"), (20, 10**9, "long")):
+        found = sum(int(low <= g <= high) for g in gaps)
+        table.add(f"gap_{name}", np.sqrt((found + 0.1) / max(n, 1)), f"{name} gaps per molecule", "√", "gaps in traces")
+
+    thirds = np.array_split(t, 3)
+    early, late = np.array([_on_mean(light, on, i) for i in (thirds[0], thirds[2])])
+    both = np.isfinite(early) & np.isfinite(late) & (early > 0)
+    ratio = late[both] / early[both]
+    table.add(
+        "level_trend", _quantile(ratio, 0.5, 1.0) - 1, "change of level while on, last third / first", "", "traces"
+    )
+    table.add(
+        "level_trend_spread",
+        _quantile(ratio, 0.84, 1.0) - _quantile(ratio, 0.16, 1.0),
+        "spread of that change",
+        "",
+        "traces",
+    )
+    # Smoothed over 9 frames, single molecules are at 1 or 0; several emitters are also between and above.
+    smooth = ndimage.uniform_filter1d(light, 9, axis=1, mode="nearest")
+    top = np.maximum(_running_top(smooth), 1e-6)
+    share = smooth / top
+    table.add(
+        "steps_between",
+        _mean(((share > 0.3) & (share < 0.75)).astype(float)),
+        "time at levels between dark and top",
+        "",
+        "traces",
+    )
+    ends = last < 1 - 3 * edge / frames
+    before_end = (t > states.last[:, None] - 21) & (t <= states.last[:, None] - 3)
+    last_level = (light * before_end).sum(axis=1) / np.maximum(before_end.sum(axis=1), 1) / top[:, 0]
+    table.add("last_level_mean", _mean(last_level[ends], 0.9), "level before the last step / top", "", "last steps")
+    table.add(
+        "last_level_low",
+        _mean((last_level[ends] < 0.65).astype(float)),
+        "last steps from less than two thirds of the top",
+        "",
+        "last steps",
+    )
+    table.add(
+        "steps_brighter_bleach",
+        _brightness_of_enders(states, ends),
+        "brightness of vanished spots against lasting ones",
+        "ln",
+        "last steps",
+    )
+
+
+def _running_top(smooth: Array) -> Array:
+    if not smooth.size:
+        return np.ones((len(smooth), 1))
+    return np.quantile(smooth, 0.95, axis=1, keepdims=True)
+
+
+def _brightness_of_enders(states: OnStates, ends: NDArray[np.bool_]) -> float:
+    if ends.sum() < 3 or (~ends).sum() < 3:
+        return 0.0
+    logs = np.log(states.level)
+    return float(np.median(logs[ends]) - np.median(logs[~ends]))
+
+
+def _on_mean(light: Array, on: NDArray[np.bool_], frames: NDArray[np.int64]) -> Array:
+    count = on[:, frames].sum(axis=1)
+    total = (light[:, frames] * on[:, frames]).sum(axis=1)
+    return np.where(count >= max(5, len(frames) // 10), total / np.maximum(count, 1), np.nan)
+
+
+def _gap_lengths(on: NDArray[np.bool_]) -> list[int]:
+    """Lengths of dark stretches between two bright ones."""
+    gaps: list[int] = []
+    for row in on:
+        edges = np.flatnonzero(np.diff(row.astype(np.int8)))
+        if len(edges) < 2:
+            continue
+        falls = edges[~row[edges + 1]]
+        rises = edges[row[edges + 1]]
+        for fall in falls:
+            later = rises[rises > fall]
+            if len(later):
+                gaps.append(int(later[0] - fall))
+    return gaps
+
+
+def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> None:
+    weight = np.maximum(spots.shape_weight[keep].sum(axis=0), 1e-6)
+    early, late = spots.shape[keep].sum(axis=0) / weight[:, None]
+    where = "isolated spots"
+    table.add("spot_width_early", (early[0] + early[1]) / 2, "excess of PSF variance, first half", "px²", where)
+    table.add(
+        "spot_width_growth", (late[0] + late[1] - early[0] - early[1]) / 2, "growth of PSF variance", "px²", where
+    )
+    table.add("spot_elongation_early", early[0] - early[1], "PSF variance along y minus x, first half", "px²", where)
+    table.add("spot_elongation_late", late[0] - late[1], "PSF variance along y minus x, second half", "px²", where)
+    table.add("spot_elongation_shear", np.hypot(early[2], late[2]), "oblique elongation", "px²", where)
+    path = spots.path_px
+    table.log("common_shift_end", np.hypot(*path[-1]) ** 2 + 1e-3, "common displacement² at the end", "px, all spots")
+    table.log(
+        "common_shift_extent",
+        float((path**2).sum(axis=1).max()) + 1e-3,
+        "largest common displacement²",
+        "px, all spots",
+    )
+    rough = np.diff(path, 2, axis=0) if len(path) > 2 else np.zeros((1, 2))
+    table.log(
+        "common_shift_roughness",
+        float((rough**2).sum(axis=1).mean()) + 1e-4,
+        "unsteadiness of the common motion²",
+        "px, all spots",
+    )
+    total = np.maximum(np.abs(spots.light[keep].sum(axis=0)), 1e-6)
+    jitter = spots.frame_shift[:, keep].sum(axis=1) / total[:, None]
+    jitter = jitter - ndimage.uniform_filter1d(jitter, 31, axis=0, mode="nearest") if len(jitter) else jitter
+    for axis, name in ((0, "y"), (1, "x")):
+        table.log(
+            f"common_shift_jitter_{name}",
+            float(jitter[:, axis].var()),
+            f"common jitter² along {name}, frame to frame",
+            "px, all spots",
+        )
+    moved = spots.displacement_px[keep]
+    own = moved - np.nan_to_num(_nanmedian(moved))
+    for lag in (1, 3, max(1, moved.shape[1] // 2)):
+        steps = ((own[:, lag:] - own[:, :-lag]) ** 2).sum(axis=2)
+        name = "half" if lag > 3 else str(lag)
+        table.log(
+            f"individual_shift_{name}", _mean(steps, 0.1), f"own displacement² over {lag} blocks", "px, each spot"
+        )
+    late_minus_early = _nanmean(own[:, -3:]) - _nanmean(own[:, :3])
+    centre = spots.positions_px[keep] - spots.positions_px[keep].mean(axis=0) if keep.any() else np.zeros((0, 2))
+    ok = np.isfinite(late_minus_early).all(axis=1)
+    spread = max(float((centre[ok] ** 2).sum()), 1e-6)
+    table.add(
+        "individual_shift_radial",
+        100 * float((late_minus_early[ok] * centre[ok]).sum()) / spread,
+        "expansion of the field",
+        "%",
+        "each spot",
+    )
+
+
+def _nanmedian(values: Array) -> Array:
+    """Median over molecules per block, 0 where none is lit."""
+    result = np.zeros(values.shape[1:])
+    for b in range(values.shape[1]):
+        lit = values[np.isfinite(values[:, b, 0]), b]
+        if len(lit):
+            result[b] = np.median(lit, axis=0)
+    return result
+
+
+def _nanmean(values: Array) -> Array:
+    count = np.isfinite(values).sum(axis=1)
+    result: Array = np.where(count > 0, np.nansum(values, axis=1) / np.maximum(count, 1), np.nan)
+    return result

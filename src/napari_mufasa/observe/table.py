@@ -1,0 +1,37 @@
+"""A named number with a meaning: the row of the table that a user reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What an observable is: title, unit, and where in the movie to look for it."""
+
+    title: str
+    unit: str
+    where: str
+
+
+@dataclass
+class Table:
+    """Observables in a fixed order: the same names for every movie, whatever it shows."""
+
+    values: dict[str, float] = field(default_factory=dict)
+    meanings: dict[str, Meaning] = field(default_factory=dict)
+
+    def add(self, name: str, value: float, title: str, unit: str, where: str) -> None:
+        number = float(value)
+        self.values[name] = number if np.isfinite(number) else 0.0
+        self.meanings[name] = Meaning(title, unit, where)
+
+    def log(self, name: str, value: float, title: str, where: str, floor: float = 1e-12) -> None:
+        """A positive quantity, kept as its logarithm: relative changes are what matters."""
+        self.add(name, np.log(max(value, floor)) if np.isfinite(value) else 0.0, title, "ln", where)
+
+    def count(self, name: str, value: float, title: str, where: str) -> None:
+        """A count, kept as its square root: its noise is then about ½ whatever its size."""
+        self.add(name, np.sqrt(max(value, 0.0)), title, "√count", where)
