@@ -1,0 +1,204 @@
+"""The contract of effects (SPEC.md §9, §10): identifiers, data, null strength, forms, third parties."""
+
+import importlib.metadata
+from types import SimpleNamespace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from napari_mufasa import Effect, Model, MufasaError, simulate, simulate_emission
+from napari_mufasa.effects import catalogue, effect_from_data
+from napari_mufasa.effects.base import STAGES, parameter
+
+from .helpers import effect, plain
+
+CONTRACT = {
+    "photophysics": "triplet_blinking long_dark_state photobleaching delayed_activation brightness_heterogeneity "
+    "multiple_emitters",
+    "illumination": "illumination_profile laser_drift laser_flicker periodic_modulation",
+    "sample motion": "stage_drift focus_drift molecule_diffusion",
+    "optics and background": "astigmatism background_gradient background_decay",
+    "camera": "em_excess_noise clock_induced_charge pixel_gain_variation column_offset row_noise hot_pixels "
+    "detector_saturation image_lag baseline_drift cosmic_rays",
+}
+KINDS = [kind for kinds in CONTRACT.values() for kind in kinds.split()]
+FORMS = [(kind, form) for kind in KINDS for form in catalogue()[kind].forms()]
+
+
+def with_form(kind, form, **values):
+    return effect(kind, **values, **({"form": form} if form else {}))
+
+
+def test_all_26_identifiers_are_there_in_order_and_in_their_stage():
+    assert list(catalogue())[:26] == KINDS
+    for stage, kinds in CONTRACT.items():
+        for kind in kinds.split():
+            assert catalogue()[kind].stage == stage and stage in STAGES
+            assert catalogue()[kind].kind == kind
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_effect_explains_itself(kind):
+    cls = catalogue()[kind]
+    for text in (cls.title, cls.what_it_is, cls.what_it_does, cls.how_to_check, cls.separated_by):
+        assert len(text) > 8
+    assert cls.observables and all(isinstance(o, str) and o for o in cls.observables)
+    assert set(cls.rivals) <= set(KINDS) and kind not in cls.rivals
+    assert cls.model_fields[cls.strength].description
+    for name, (low, high, log) in cls.plausible().items():
+        assert low < high and (low > 0 or not log)
+        default = cls.model_fields[name].default
+        assert low <= default <= high, name
+        cls(**{name: low}), cls(**{name: high})  # the hard limits hold the plausible range
+    assert cls.strength in cls.plausible()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parameters_carry_units_in_names_or_are_relative(kind):
+    cls = catalogue()[kind]
+    for name in cls.plausible():
+        unit = cls.unit(name)
+        for symbol, ending in (("ADU", "_adu"), ("px", "_px"), ("1/s", "_per_s"), ("s", "_s"), ("deg", "_deg")):
+            if unit == symbol:
+                assert name.endswith(ending)
+
+
+@pytest.mark.parametrize(("kind", "form"), FORMS)
+def test_null_strength_is_the_base_model(kind, form):
+    """Exactly: the same emission, optical image and movie, bit by bit."""
+    cls = catalogue()[kind]
+    base = simulate(plain(), seed=1)
+    null = simulate(plain().with_effects(with_form(kind, form, **{cls.strength: cls.null_value})), seed=1)
+    np.testing.assert_array_equal(null.emission, base.emission)
+    np.testing.assert_allclose(null.optical, base.optical, rtol=1e-6)
+    assert np.mean(null.movie != base.movie) < 1e-3  # rounding of the light by 1e-7 may move a count
+
+
+@pytest.mark.parametrize(("kind", "form"), FORMS)
+def test_every_form_runs_and_does_something(kind, form):
+    strong = {"hits_per_frame": 2.0} if kind == "cosmic_rays" else {}
+    model = plain(frame_length_s=0.1)  # 4 s: rare events happen
+    base = simulate(model, seed=1)
+    changed = simulate(model.with_effects(with_form(kind, form, **strong)), seed=1)
+    assert changed.movie.shape == base.movie.shape
+    assert np.any(changed.movie != base.movie)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("protocol", ["PALM", "STORM", "Blinking"])
+def test_every_effect_runs_on_every_protocol_and_in_one_frame(kind, protocol):
+    values = {"protocol": protocol, "fluorophore.isc_ratio": 1e-3, "fluorophore.triplet_decay_rate_per_s": 10.0}
+    values |= {"excitation.activation_rate_per_s": 20.0, "fluorophore.cycles_before_bleaching": 5000}
+    model = plain(n_frames=1, shape=(16, 16), **values).with_effects(effect(kind))
+    assert simulate(model, seed=1).movie.shape == (1, 16, 16)
+
+
+def test_all_effects_at_once_in_any_order():
+    chosen = [effect(kind) for kind in KINDS]
+    for order in (chosen, chosen[::-1]):
+        result = simulate(plain(n_frames=8).with_effects(*order), seed=2)
+        assert len(result.emission) == len(result.positions_px) >= 6
+
+
+def test_effects_come_from_data():
+    made = effect_from_data({"kind": "image_lag", "fraction": 0.2, "form": "decaying"})
+    assert made == effect("image_lag", fraction=0.2, form="decaying")
+    assert effect_from_data(made) is made
+    with pytest.raises(ValueError, match=r"did you mean image_lag\?"):
+        effect_from_data({"kind": "image_lags"})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_wrong_parameters_are_refused(kind):
+    cls = catalogue()[kind]
+    with pytest.raises(ValidationError):
+        cls(**{cls.strength: float("nan")})
+    with pytest.raises(ValidationError):
+        cls(**{cls.strength: "much"})
+    with pytest.raises(ValidationError):
+        cls(no_such_parameter=1)
+
+
+def test_em_noise_suits_em_cameras_only():
+    assert catalogue()["em_excess_noise"].suits(plain())
+    ccd = plain().to_dict()
+    ccd["camera"] |= {"type": "CCD", "em_gain": None}
+    assert not catalogue()["em_excess_noise"].suits(Model.from_dict(ccd))
+
+
+class Dimming(Effect):
+    """What a third party writes: one class."""
+
+    kind: ClassVar[str] = "test_dimming"
+    stage: ClassVar[str] = "illumination"
+    strength: ClassVar[str] = "loss"
+    title: ClassVar[str] = "Dimming"
+
+    loss: float = parameter(0.5, ge=0, le=1, plausible=(0.1, 0.9), unit="", description="share of the light lost")
+
+    def apply(self, scene, rng):
+        scene.light = scene.light * (1 - self.loss)
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """Install effects by the entry-point group, and forget them afterwards."""
+    real = importlib.metadata.entry_points
+
+    def install(**points):
+        def load(value):
+            if isinstance(value, Exception):
+                raise value
+            return value
+
+        found = [SimpleNamespace(name=n, value=f"pkg:{n}", load=lambda v=v: load(v)) for n, v in points.items()]
+
+        def entry_points(**selection):
+            return found if selection.get("group") == "napari_mufasa.effects" else real(**selection)
+
+        monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
+        catalogue.cache_clear()
+
+    yield install
+    monkeypatch.undo()
+    catalogue.cache_clear()
+
+
+def test_a_third_party_adds_an_effect_by_one_class(installed, tmp_path):
+    installed(dimming=Dimming)
+    assert list(catalogue())[26:] == ["test_dimming"]
+    data = plain().to_dict() | {"effects": [{"kind": "test_dimming", "loss": 0.75}]}
+    model = Model.from_dict(data)
+    model.to_json(tmp_path / "model.json")
+    assert Model.from_json(tmp_path / "model.json").effects == (Dimming(loss=0.75),)
+    counts = simulate_emission(model, 500, seed=1)
+    assert counts.mean() == pytest.approx(67.25 / 4, abs=4 * np.sqrt(67.25 / 4 / counts.size))
+    with pytest.raises(MufasaError, match=r"effects\.0\.loss = 2: .*≤ 1"):
+        Model.from_dict(data | {"effects": [{"kind": "test_dimming", "loss": 2}]})
+
+
+def test_a_broken_plugin_does_not_take_the_others_away(installed):
+    installed(broken=ImportError("no module x"), wrong=dict, dimming=Dimming)
+    with pytest.warns(UserWarning) as caught:
+        kinds = list(catalogue())
+    assert kinds == [*KINDS, "test_dimming"]
+    assert ["broken" in str(w.message) for w in caught] == [True, False]
+    assert "wrong (pkg:wrong) is not an Effect" in str(caught[1].message)
+
+
+def test_a_plugin_cannot_replace_a_built_in_effect(installed):
+    class Impostor(Dimming):
+        kind = "stage_drift"
+
+    installed(impostor=Impostor)
+    assert catalogue()["stage_drift"] is not Impostor
+
+
+def test_an_effect_without_apply_says_so():
+    class Empty(Effect):
+        kind = "empty"
+
+    with pytest.raises(NotImplementedError, match="override apply"):
+        simulate(plain(n_frames=1).with_effects(Empty()), seed=1)
