@@ -58,9 +58,10 @@ class IlluminationProfile(Effect):
         def profile(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
             if self.form == "linear":
-                along = u * np.cos(angle) + v * np.sin(angle)
-                slope: Array = self.edge_dimming * (0.5 + along / (2 * np.sqrt(2))) * np.sqrt(2)
-                return np.maximum(1 - slope, 0.0)
+                height, width = np.array(scene.shape_px) / max(scene.shape_px)
+                reach = width * abs(np.cos(angle)) + height * abs(np.sin(angle))  # from the centre to the last corner
+                along: Array = (u * np.cos(angle) + v * np.sin(angle)) / reach
+                return 1 - self.edge_dimming * (1 + along) / 2
             cy, cx = (0.5 * np.sin(angle), 0.5 * np.cos(angle)) if self.form == "off_centre" else (0.0, 0.0)
             decay = np.log(1 - self.edge_dimming)
             left: Array = np.exp(decay * ((v - cy) ** 2 + (u - cx) ** 2) / (1 + cy**2 + cx**2))

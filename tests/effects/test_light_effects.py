@@ -1,0 +1,170 @@
+"""Laws of the illumination, optics and background effects at strong values."""
+
+import numpy as np
+import pytest
+
+from napari_mufasa import simulate, simulate_emission
+
+from .helpers import ccd, effect, plain, scene_of
+
+
+def moments(image):
+    y, x = np.indices(image.shape)
+    total = image.sum()
+    cy, cx = (image * y).sum() / total, (image * x).sum() / total
+    return total, cy, cx, (image * (y - cy) ** 2).sum() / total, (image * (x - cx) ** 2).sum() / total
+
+
+# illumination ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["gaussian", "off_centre", "linear"])
+@pytest.mark.parametrize("dimming", [0.2, 0.8])
+def test_profile_keeps_the_field_s_mean_and_dims_spots_and_background_alike(form, dimming):
+    model = plain(shape=(48, 64)).with_effects(effect("illumination_profile", edge_dimming=dimming, form=form))
+    positions = np.array([[5.0, 5.0], [24.0, 32.0], [40.0, 60.0]])
+    scene = scene_of(model, positions)
+    light = scene.light_at(*scene.pixel_coordinates())
+    assert light.mean() == pytest.approx(1.0) and light.min() >= 0
+    assert 1 - light.min() / light.max() > 0.8 * dimming
+    np.testing.assert_allclose(scene.background_map(), 20 * light)
+    np.testing.assert_allclose(scene.drive(), light[tuple(positions.astype(int).T)])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_linear_profile_loses_its_dimming_from_side_to_side(seed):
+    """Whatever its direction and the field's shape."""
+    scene = scene_of(plain(shape=(200, 400)).with_effects(effect("illumination_profile", form="linear")), seed=seed)
+    light = scene.light_at(*scene.pixel_coordinates())
+    assert light.min() / light.max() == pytest.approx(0.6, rel=0.01)
+
+
+def test_gaussian_profile_loses_its_dimming_at_the_edge_of_the_longer_side():
+    scene = scene_of(plain(shape=(41, 81)).with_effects(effect("illumination_profile", edge_dimming=0.6)))
+    centre, edge, corner = (
+        float(scene.light_at(np.array(y), np.array(x))) for y, x in ((20, 40), (20, 80.5), (40.5, 80.5))
+    )
+    assert edge / centre == pytest.approx(0.4)
+    assert corner < edge
+
+
+def test_profile_reaches_the_photons():
+    model = plain(n_frames=20, shape=(64, 64)).with_effects(effect("illumination_profile", edge_dimming=0.8))
+    positions = np.array([[31.5, 31.5], [31.5, 0.0]])
+    counts = simulate(model, positions, seed=1).emission.mean(axis=1)
+    drive = scene_of(model, positions).drive()
+    assert np.all(np.abs(counts - 67.249 * drive) < 4 * np.sqrt(67.249 * drive / 20))
+
+
+@pytest.mark.parametrize("form", ["linear", "saturating", "step"])
+@pytest.mark.parametrize("change", [-0.4, 0.5])
+def test_laser_drift_is_the_ratio_of_last_to_first(form, change):
+    model = plain(n_frames=60).with_effects(effect("laser_drift", change=change, form=form))
+    light = scene_of(model).light
+    assert light[-1] / light[0] == pytest.approx(1 + change, abs=1e-9)
+    counts = simulate_emission(model, 2000, seed=2)
+    last, first = counts[:, -1].mean(), counts[:, 0].mean()
+    error = np.sqrt((1 / last + 1 / first) / 2000) * (1 + change)
+    assert last / first == pytest.approx(1 + change, abs=4 * error)  # |z| > 4: 6e-5
+    empty = simulate(model, np.empty((0, 2)), seed=2).optical.mean(axis=(1, 2))  # the background follows
+    np.testing.assert_allclose(empty, 20 * light, rtol=1e-5)
+
+
+def test_wandering_drift_stays_within_its_change():
+    light = scene_of(plain(n_frames=200).with_effects(effect("laser_drift", change=-0.3, form="wandering"))).light
+    assert np.abs(light - 1).max() == pytest.approx(0.3) and light[0] == 1.0
+
+
+@pytest.mark.parametrize("form", ["white", "pink"])
+def test_flicker_has_its_rms(form):
+    light = scene_of(plain(n_frames=4096).with_effects(effect("laser_flicker", rms=0.1, form=form))).light
+    # White: rms of 4096 independent values, 4 × 0.1/√8192; pink is scaled to its rms.
+    assert light.std() == pytest.approx(0.1, abs=4 * 0.1 / np.sqrt(2 * 4096))
+    assert light.mean() == pytest.approx(1.0, abs=4 * 0.1 / np.sqrt(4096))
+
+
+def test_white_flicker_is_white_and_pink_falls_as_one_over_f():
+    for form, slope in (("white", 0.0), ("pink", -1.0)):
+        light = scene_of(plain(n_frames=4096).with_effects(effect("laser_flicker", rms=0.05, form=form))).light
+        power = np.abs(np.fft.rfft(light - light.mean())[1:-1]) ** 2
+        frequency = np.arange(1, len(power) + 1)
+        # Regression of log power (sd π/√6 per value): error of the slope 1.28/√(n · var(log f)) = 0.028.
+        error = 1.283 / np.sqrt(len(power) * np.log(frequency).var())
+        assert np.polyfit(np.log(frequency), np.log(power), 1)[0] == pytest.approx(slope, abs=4 * error)
+
+
+def test_flicker_is_common_to_molecules_and_background():
+    model = plain(n_frames=200, shape=(8, 8)).with_effects(effect("laser_flicker", rms=0.2))
+    result = simulate(model, np.full((400, 2), 3.0), seed=3)
+    light = scene_of(model, seed=3).light
+    together = result.emission.mean(axis=0)
+    assert np.corrcoef(together, light)[0, 1] > 0.99
+    halves = result.emission[:200].mean(axis=0), result.emission[200:].mean(axis=0)
+    assert np.corrcoef(*halves)[0, 1] > 0.97
+
+
+@pytest.mark.parametrize(("form", "rms"), [("sine", 0.2 / np.sqrt(2)), ("square", 0.2)])
+def test_periodic_modulation_is_one_line_of_the_spectrum(form, rms):
+    model = plain(n_frames=400).with_effects(effect("periodic_modulation", amplitude=0.2, period_frames=8.0, form=form))
+    light = scene_of(model).light
+    power = np.abs(np.fft.rfft(light - 1)) ** 2
+    assert power.argmax() == 400 / 8
+    assert power[50] / power.sum() > (0.999 if form == "sine" else 0.75)
+    assert light.std() == pytest.approx(rms, rel=1e-3)
+    counts = simulate_emission(model, 500, seed=4).mean(axis=0)
+    assert np.abs(np.fft.rfft(counts - counts.mean())).argmax() == 50
+
+
+# optics and background ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("log_ratio", [-0.6, 0.5])
+def test_astigmatism_in_second_moments(log_ratio):
+    """ln(σ_y/σ_x) is log_ratio, and σ_y·σ_x stays."""
+    model = plain(n_frames=1, shape=(41, 41), **{"optics.background_photons_per_px": 0})
+    model = model.with_effects(effect("astigmatism", log_ratio=log_ratio))
+    image = simulate(model, np.array([[20.3, 19.6]]), seed=5).optical[0].astype(float)
+    _, _, _, vy, vx = moments(image)
+    sy, sx = np.sqrt(vy - 1 / 12), np.sqrt(vx - 1 / 12)
+    assert np.log(sy / sx) == pytest.approx(log_ratio, abs=2e-3)
+    assert np.sqrt(sy * sx) == pytest.approx(model.sigma_px, rel=2e-3)
+
+
+@pytest.mark.parametrize("form", ["linear", "hump"])
+def test_gradient_keeps_the_mean_and_the_spots(form):
+    added = effect("background_gradient", relative_height=0.8, form=form)
+    base, model = plain(shape=(40, 40)), plain(shape=(40, 40)).with_effects(added)
+    background = scene_of(model, seed=6).background_map()
+    assert background.mean() == pytest.approx(20.0)
+    assert background.min() >= 0 and np.ptp(background) / 20 > 0.3
+    positions = np.array([[10.0, 30.0]])
+    with_spot, plain_spot = (simulate(m, positions, seed=6).optical for m in (model, base))
+    np.testing.assert_allclose(with_spot - background, plain_spot - 20, atol=1e-3)
+
+
+def test_linear_gradient_rises_by_its_height_across_the_field():
+    scene = scene_of(plain(shape=(50, 50)).with_effects(effect("background_gradient", relative_height=0.8)))
+    dy, dx = np.gradient(scene.background_map())
+    assert np.hypot(dy.mean(), dx.mean()) * 50 / 20 == pytest.approx(0.8, rel=1e-6)
+
+
+def test_hump_rises_by_its_height_above_the_dark_corner():
+    scene = scene_of(
+        plain(shape=(80, 80)).with_effects(effect("background_gradient", relative_height=1.5, form="hump"))
+    )
+    background = scene.background_map()
+    assert background.max() / background.min() == pytest.approx(2.5, rel=0.1)
+
+
+def test_background_decays_with_its_variance_while_spots_stay():
+    added = effect("background_decay", fraction=0.6, time_constant_movies=0.3)
+    model = ccd(**{"acquisition.n_frames": 100, "acquisition.shape_px": [64, 64]}).with_effects(added)
+    scene = scene_of(model)
+    left = 0.4 + 0.6 * np.exp(-np.linspace(0, 1, 100) / 0.3)
+    np.testing.assert_allclose(scene.background, left)
+    assert np.all(scene.light == 1)
+    movie = simulate(model, np.empty((0, 2)), seed=7).movie.astype(float) - 100
+    n = 64 * 64
+    # 100 frames each, |z| > 5: overall 1e-4. Poisson: variance = mean.
+    assert np.all(np.abs(movie.mean(axis=(1, 2)) - 20 * left) < 5 * np.sqrt(20 * left / n))
+    assert np.all(np.abs(movie.var(axis=(1, 2)) / (20 * left) - 1) < 5 * np.sqrt(2.2 / n))
