@@ -1,0 +1,152 @@
+"""The Data step: which layer is the movie, where the dark frames are, what is known about them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.widgets.jobs import guarded
+from napari_mufasa.widgets.layers import resolution_um, slim
+from napari_mufasa.widgets.panel import MovieChooser, Panel
+from napari_mufasa.widgets.session import model_in, stack_of
+
+if TYPE_CHECKING:
+    from napari.viewer import Viewer
+
+SAMPLES = {
+    "Sample: hidden effect": "hidden_effect",
+    "Sample: FF": "ff",
+    "Sample: Blinking": "blinking",
+    "Sample: STORM": "storm",
+    "Sample: PALM": "palm",
+}
+
+
+class DataPanel(Panel):
+    """Choose the measurement. Opening a movie that carries its model takes that model over."""
+
+    title = "Data"
+    words = "Open a movie, say which layer it is and where its dark frames are."
+    run_label = "Open movie …"
+
+    def __init__(self, viewer: Viewer) -> None:
+        super().__init__(viewer)
+
+    def build(self) -> None:
+        self.sample = QComboBox()
+        self.sample.addItems(list(SAMPLES))
+        slim(self.sample)
+        self.sample_button = QPushButton("Open sample")
+        self.sample_button.clicked.connect(self._open_sample)
+        row = QHBoxLayout()
+        row.addWidget(self.sample, 1)
+        row.addWidget(self.sample_button)
+        self.column.addWidget(self.run_bar)
+        self.column.addLayout(row)
+        self.chooser = MovieChooser(self.session)
+        self.column.addWidget(self.chooser)
+        self.first_dark = QSpinBox()
+        self.first_dark.setRange(0, 100_000)
+        self.first_dark.setSpecialValueText("none")
+        self.first_dark.setToolTip("Number of frames at the start of the movie that were taken without light")
+        self.first_dark.valueChanged.connect(self.session.set_first_dark_frames)
+        form = QFormLayout()
+        form.addRow("… or first frames dark", self.first_dark)
+        self.column.addLayout(form)
+        self.facts = QLabel()
+        self.facts.setWordWrap(True)
+        self.column.addWidget(self.facts)
+        self.use_model = QPushButton("Believe the model in the metadata")
+        self.use_model.setToolTip("Take over the model that travelled with the movie")
+        self.use_model.clicked.connect(self._use_model)
+        self.column.addWidget(self.use_model)
+        self.column.addStretch(1)
+        self.session.movie_changed.connect(self.refresh)
+        self.session.model_changed.connect(self.refresh)
+        self.refresh()
+
+    def prepare(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Open movie", filter="Movies (*.tif *.tiff);;All files (*)")
+        if path:
+            self.open_movie(path)
+
+    def open_movie(self, path: str) -> None:
+        """Open any TIFF or zarr movie, ours or foreign, lazily."""
+        from napari_mufasa.napari_io import movie_layer
+
+        data, options, _ = movie_layer(path)
+        layer = self.viewer.add_image(data, **options)
+        self._take(layer)
+
+    def open_sample(self, key: str) -> None:
+        """Open one of the plugin's samples."""
+        layers = self.viewer.open_sample("napari-mufasa", key)
+        movie = next(layer for layer in layers if "dark" not in layer.name.lower())
+        dark = next((layer for layer in layers if "dark" in layer.name.lower()), None)
+        if dark is not None:
+            self.session.set_dark(dark)
+        self._take(movie)
+
+    def refresh(self) -> None:
+        layer = self.session.movie_layer
+        self.use_model.setVisible(False)
+        if layer is None:
+            self.facts.setText("No movie yet.")
+            return
+        try:
+            shape = stack_of(layer).shape
+            believed = model_in(layer)
+        except MufasaError as error:
+            self.facts.setText(str(error))
+            return
+        size = resolution_um(layer)
+        lines = [f"<b>{layer.name}</b>: {shape[0]} frames of {shape[1]} × {shape[2]} px, {layer.dtype}"]
+        lines.append(f"pixel size {size * 1000:.4g} nm" if size else "pixel size not stated: the model's is used")
+        if believed is None:
+            lines.append("carries no model: choose one in step Model, the camera in step Camera")
+        else:
+            same = self.session.model == believed
+            lines.append(f"carries a model ({believed.protocol}, {believed.camera.type})" + (", in use" * same))
+            self.use_model.setVisible(not same)
+        self.facts.setText("<br>".join(lines))
+
+    def _open_sample(self) -> None:
+        guarded(self.run_bar, lambda: self.open_sample(SAMPLES[self.sample.currentText()]))
+
+    def _take(self, layer: Any) -> None:
+        self.session.set_movie(layer)
+        self._use_model()
+
+    def _use_model(self) -> None:
+        layer = self.session.movie_layer
+        model = model_in(layer) if layer is not None else None
+        if layer is not None and model is not None:
+            self.session.set_model(model, f"metadata of {layer.name}")
+        self.refresh()
+
+
+class CameraPanel(QWidget):
+    """The camera of every later step."""
+
+    title = "Camera"
+
+    def __init__(self, viewer: Viewer) -> None:
+        from qtpy.QtWidgets import QVBoxLayout
+
+        from napari_mufasa.widgets.model_panel import ModelSource, PartEditor
+        from napari_mufasa.widgets.session import session_of
+
+        super().__init__()
+        session = self.session = session_of(viewer)
+        words = QLabel("The camera that recorded the movie. It is used in every later step.")
+        words.setWordWrap(True)
+        self.source = ModelSource(session)
+        self.editor = PartEditor(session, "camera")
+        self.timing = PartEditor(session, "acquisition", ("frame_length_s", "frame_interval_s", "pixel_size_nm"))
+        column = QVBoxLayout(self)
+        column.setContentsMargins(6, 6, 6, 6)
+        for widget in (words, self.source, self.editor, QLabel("<b>Timing and pixels</b>"), self.timing):
+            column.addWidget(widget)
+        column.addStretch(1)

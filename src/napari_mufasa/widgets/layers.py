@@ -1,0 +1,116 @@
+"""Layers in and out: choosing them, and adding results with scale in µm and units set."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from qtpy.QtCore import Signal  # type: ignore[attr-defined]
+from qtpy.QtWidgets import QComboBox, QWidget
+
+from napari_mufasa.io import METADATA_KEY
+
+if TYPE_CHECKING:
+    from napari.layers import Image, Layer, Points
+    from napari.viewer import Viewer
+
+    from napari_mufasa.model import Model
+
+
+class LayerCombo(QComboBox):
+    """A list of the viewer's Image layers that follows the layer list; `None` where "none" is offered."""
+
+    chosen = Signal(object)
+
+    def __init__(self, viewer: Viewer, none_label: str = "", parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._viewer, self._none_label = viewer, none_label
+        self._layers: list[Any] = []
+        slim(self)
+        self.currentIndexChanged.connect(self._on_index)
+        events = viewer.layers.events
+        for event in (events.inserted, events.removed, events.reordered, events.renamed):
+            event.connect(self._refresh)
+        self._refresh()
+
+    def layer(self) -> Image | None:
+        index = self.currentIndex()
+        return self._layers[index] if 0 <= index < len(self._layers) else None
+
+    def choose(self, layer: Image | None) -> None:
+        """Select without announcing it."""
+        if layer in self._layers:
+            blocked = self.blockSignals(True)
+            self.setCurrentIndex(self._layers.index(layer))
+            self.blockSignals(blocked)
+
+    def _refresh(self, _event: Any = None) -> None:
+        try:
+            self._fill()
+        except RuntimeError:  # the widget is gone, the layer list is not
+            self._layers = []
+
+    def _fill(self) -> None:
+        from napari.layers import Image
+
+        before = self.layer()
+        self._layers = [layer for layer in self._viewer.layers if isinstance(layer, Image)]
+        names = [layer.name for layer in self._layers]
+        if self._none_label:
+            self._layers.insert(0, None)
+            names.insert(0, self._none_label)
+        blocked = self.blockSignals(True)
+        self.clear()
+        self.addItems(names)
+        self.setCurrentIndex(self._layers.index(before) if before in self._layers else 0 if self._layers else -1)
+        self.blockSignals(blocked)
+        if self.layer() is not before:
+            self.chosen.emit(self.layer())
+
+    def _on_index(self, _index: int) -> None:
+        self.chosen.emit(self.layer())
+
+
+def slim(combo: QComboBox) -> None:
+    """Let a combo box be narrower than its longest entry: docks are narrow."""
+    combo.setMinimumContentsLength(10)
+    combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+
+
+def movie_scale(model: Model) -> dict[str, Any]:
+    """Scale and units of a (frame, y, x) layer: pixels in µm, the frame axis in frames."""
+    size_um = model.acquisition.pixel_size_nm / 1000
+    return {"scale": (1.0, size_um, size_um), "units": ("pixel", "um", "um"), "axis_labels": ("frame", "y", "x")}
+
+
+def like(layer: Layer) -> dict[str, Any]:
+    """The spatial arrangement of a layer, for results that lie on top of it."""
+    return {"scale": tuple(layer.scale), "translate": tuple(layer.translate), "units": layer.units}
+
+
+def add_movie(viewer: Viewer, data: Any, name: str, space: dict[str, Any], model: Model | None = None,
+              seed: int | None = None, **kwargs: Any) -> Image:  # fmt: skip
+    """A movie as an Image layer; contrast from one frame, so that lazy data stay lazy."""
+    frame = np.asarray(data[len(data) // 2], dtype=np.float32)
+    low, high = (float(v) for v in np.percentile(frame, (1, 99.9)))
+    metadata = {METADATA_KEY: {"model": model.to_dict(), "seed": seed}} if model is not None else {}
+    options = {"contrast_limits": (low, max(high, low + 1e-3)), "colormap": "gray"} | kwargs
+    added: Any = viewer.add_image(data, name=name, metadata=metadata, **space, **options)
+    return added
+
+
+def add_points(viewer: Viewer, positions_px: Any, features: Any, name: str, movie: Layer, **kwargs: Any) -> Points:
+    """Molecules (y, x) in pixels as rings of about a PSF, on top of `movie`."""
+    scale, units = tuple(movie.scale[-2:]), tuple(movie.units[-2:])
+    points: Any = viewer.add_points(
+        np.asarray(positions_px, dtype=float).reshape(-1, 2), features=features, name=name, scale=scale,
+        translate=tuple(movie.translate[-2:]), units=units, **kwargs,
+    )  # fmt: skip
+    return points
+
+
+def resolution_um(layer: Layer) -> float | None:
+    """The pixel size in µm that the layer states, if it states one."""
+    size, unit = float(layer.scale[-1]), str(layer.units[-1])
+    factor = {"micrometer": 1.0, "um": 1.0, "µm": 1.0, "nanometer": 1e-3, "nm": 1e-3}.get(unit)
+    return size * factor if factor is not None else None

@@ -1,0 +1,162 @@
+"""The guided workflow: one dock with the steps Data → Camera → Denoise → Molecules → Model → Compare → Discover."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from qtpy.QtCore import QSize, Qt
+from qtpy.QtWidgets import (
+    QButtonGroup,
+    QHBoxLayout,
+    QPushButton,
+    QScrollArea,
+    QSizePolicy,
+    QStackedWidget,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from napari_mufasa.widgets.session import session_of
+
+if TYPE_CHECKING:
+    from napari.viewer import Viewer
+
+# napari's own style hides which tool button is checked.
+STEP_STYLE = """
+QToolButton { padding: 3px 1px; border: none; border-bottom: 3px solid transparent; border-radius: 0px; }
+QToolButton:checked { border-bottom: 3px solid #4a90d9; font-weight: bold; background: rgba(74, 144, 217, 45); }
+QToolButton:hover { background: rgba(128, 128, 128, 60); }
+"""
+STEPS = ("Data", "Camera", "Denoise", "Molecules", "Model", "Compare", "Discover")
+
+
+class WorkflowWidget(QWidget):
+    """All steps in one dock. Each works alone and keeps its state; movie, model and results flow forward."""
+
+    def __init__(self, napari_viewer: Viewer) -> None:
+        super().__init__()
+        self.session = session_of(napari_viewer)
+        self._viewer = napari_viewer
+        self.steps: dict[str, QWidget] = {}
+        self.buttons = QButtonGroup(self)
+        self.buttons.setExclusive(True)
+        row = QHBoxLayout()
+        row.setSpacing(1)
+        self.stack = QStackedWidget()
+        for number, name in enumerate(STEPS):
+            button = QToolButton()
+            button.setText(f"{number + 1}\n{name}")
+            button.setCheckable(True)
+            button.setToolTip(f"Step {number + 1}: {name}")
+            button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+            button.setMinimumWidth(button.fontMetrics().horizontalAdvance(name) + 6)
+            button.setStyleSheet(STEP_STYLE)
+            self.buttons.addButton(button, number)
+            row.addWidget(button, 1)
+            self.stack.addWidget(QWidget())
+        self.buttons.idClicked.connect(self.show_step)
+        self.back_button, self.next_button = QPushButton("‹ Back"), QPushButton("Next ›")
+        self.back_button.clicked.connect(lambda: self.show_step(self.stack.currentIndex() - 1))
+        self.next_button.clicked.connect(lambda: self.show_step(self.stack.currentIndex() + 1))
+        bottom = QHBoxLayout()
+        bottom.addWidget(self.back_button)
+        bottom.addStretch(1)
+        bottom.addWidget(self.next_button)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(2, 2, 2, 2)
+        layout.addLayout(row)
+        layout.addWidget(self.stack, 1)
+        layout.addLayout(bottom)
+        self.setMinimumWidth(440)
+        self.show_step(0)
+
+    def sizeHint(self) -> QSize:
+        return QSize(460, 760)
+
+    def step(self, name: str) -> Any:
+        """The panel of a step, made when it is first needed."""
+        if name not in self.steps:
+            self.steps[name] = panel = panel_class(name)(self._viewer)
+            index = STEPS.index(name)
+            placeholder: Any = self.stack.widget(index)
+            self.stack.removeWidget(placeholder)
+            placeholder.deleteLater()
+            self.stack.insertWidget(index, scrolled(panel))
+        return self.steps[name]
+
+    def show_step(self, index: int) -> None:
+        index = max(0, min(index, len(STEPS) - 1))
+        self.step(STEPS[index])
+        self.stack.setCurrentIndex(index)
+        button: Any = self.buttons.button(index)
+        button.setChecked(True)
+        self.back_button.setEnabled(index > 0)
+        self.next_button.setEnabled(index < len(STEPS) - 1)
+
+
+def panel_class(name: str) -> Any:
+    """The panel of a step; imported when it is shown."""
+    from importlib import import_module
+
+    homes = {
+        "Data": ("data_panel", "DataPanel"),
+        "Camera": ("data_panel", "CameraPanel"),
+        "Simulate": ("simulate", "SimulatePanel"),
+        "Denoise": ("denoise", "DenoisePanel"),
+        "Molecules": ("molecules", "MoleculesPanel"),
+        "Model": ("model_panel", "ModelPanel"),
+        "Compare": ("compare", "ComparePanel"),
+        "Discover": ("discover", "DiscoverPanel"),
+    }
+    module, name = homes[name]
+    return getattr(import_module(f"napari_mufasa.widgets.{module}"), name)
+
+
+def scrolled(panel: QWidget) -> QScrollArea:
+    """A panel in a scroll area that never scrolls sideways."""
+    area = QScrollArea()
+    area.setWidgetResizable(True)
+    area.setFrameShape(QScrollArea.Shape.NoFrame)
+    area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    area.setWidget(panel)
+    # Wide enough for what is in it, with room for the scroll bar: nothing is cut on the right.
+    area.setMinimumWidth(min(520, panel.minimumSizeHint().width() + 18))
+    return area
+
+
+class _Single(QWidget):
+    """One step as a dock of its own."""
+
+    step_name = ""
+
+    def __init__(self, napari_viewer: Viewer) -> None:
+        super().__init__()
+        self.panel = panel_class(self.step_name)(napari_viewer)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(scrolled(self.panel))
+        self.setMinimumWidth(360)
+
+    def sizeHint(self) -> QSize:
+        return QSize(420, 700)
+
+
+class SimulateWidget(_Single):
+    step_name = "Simulate"
+
+
+class DenoiseWidget(_Single):
+    step_name = "Denoise"
+
+
+class ExtractTracesWidget(_Single):
+    step_name = "Molecules"
+
+
+class CompareWidget(_Single):
+    step_name = "Compare"
+
+
+class DiscoverWidget(_Single):
+    step_name = "Discover"

@@ -1,0 +1,96 @@
+"""Background work: it reports, stops at once, tells errors, and survives what users do meanwhile."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from napari.utils.notifications import notification_manager
+
+from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.widgets.denoise import DenoisePanel
+from napari_mufasa.widgets.jobs import RunBar
+
+
+@pytest.fixture
+def bar(viewer):
+    made = RunBar("Go")
+    viewer.window.add_dock_widget(made)
+    return made
+
+
+def test_result_arrives_in_the_interface_thread(bar, qtbot):
+    seen = []
+
+    def work(progress, cancel):
+        for i in range(10):
+            progress(i + 1, 10)
+        return threading.current_thread()
+
+    with qtbot.waitSignal(bar.finished, timeout=5000):
+        bar.start("Working", work, lambda thread: seen.append((thread, threading.current_thread())))
+    assert seen[0][0] is not threading.main_thread()
+    assert seen[0][1] is threading.main_thread()
+    assert bar.bar.value() == 10
+
+
+@pytest.mark.parametrize("polite", [True, False], ids=["work that looks at cancel", "work that does not"])
+def test_cancel_frees_the_panel_within_a_second(bar, qtbot, polite):
+    done, stopped, release = [], threading.Event(), threading.Event()
+
+    def work(progress, cancel):
+        progress(1, 100)
+        while not release.wait(0.01):
+            if polite and cancel():
+                stopped.set()
+                raise Cancelled
+        stopped.set()
+        return 1
+
+    bar.start("Working", work, done.append)
+    qtbot.wait(200)
+    start = time.monotonic()
+    with qtbot.waitSignal(bar.finished, timeout=5000):
+        bar.cancel_button.click()
+    assert time.monotonic() - start < 1.0
+    assert not bar.running
+    assert bar.run_button.isEnabled()
+    assert bar.message.text() == "Cancelled."
+    release.set()
+    assert stopped.wait(2)
+    qtbot.wait(100)
+    assert done == []  # a result that comes after Cancel is thrown away
+
+
+def test_error_is_a_notification_with_its_remedy(bar, qtbot):
+    def work(progress, cancel):
+        raise MufasaError("em_gain = -1: give 1 … 100000")
+
+    with qtbot.waitSignal(bar.finished, timeout=5000):
+        bar.start("Working", work, lambda _: None)
+    assert notification_manager.records[-1].message == "em_gain = -1: give 1 … 100000"
+    assert "give 1" in bar.message.text()
+
+
+def test_layer_deleted_mid_run_does_not_matter(with_movie, qtbot, bright_movie):
+    panel = DenoisePanel(with_movie)
+    with_movie.window.add_dock_widget(panel)
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.run_bar.run_button.click()
+        with_movie.layers.clear()
+    assert [layer.name for layer in with_movie.layers] == ["bright, photons"]
+    assert panel.session.movie_layer is None or panel.session.movie_layer in with_movie.layers
+
+
+def test_dock_closed_mid_run_does_not_matter(with_movie, qtbot):
+    panel = DenoisePanel(with_movie)
+    dock = with_movie.window.add_dock_widget(panel)
+    panel.run_bar.run_button.click()
+    worker = panel.run_bar._worker
+    with qtbot.waitSignal(worker.finished, timeout=60_000):
+        with_movie.window.remove_dock_widget(dock)
+        panel.deleteLater()
+    qtbot.wait(100)
+    with_movie.add_image(np.zeros((4, 4)))  # the layer list still works

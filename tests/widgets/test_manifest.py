@@ -1,0 +1,106 @@
+"""The manifest: valid, every widget opens from it, files and samples go through it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from npe2 import PluginManifest
+
+from napari_mufasa import io
+from napari_mufasa.model import Model
+from napari_mufasa.napari_io import get_reader, read_layers
+from napari_mufasa.traces import extract_traces
+
+WIDGETS = ("MUFASA workflow", "Simulate", "Denoise", "Extract traces", "Compare", "Discover")
+
+
+@pytest.fixture
+def manifest():
+    return PluginManifest.from_distribution("napari-mufasa")
+
+
+def test_manifest_is_valid_and_every_command_exists(manifest):
+    manifest.validate_imports()
+    assert {widget.display_name for widget in manifest.contributions.widgets} == set(WIDGETS)
+
+
+def test_link_at_the_top_is_the_manifest_of_the_package():
+    top = Path(__file__).parents[2] / "napari.yaml"
+    assert top.is_symlink()
+    assert not Path(top.readlink()).is_absolute()
+    assert top.resolve() == Path(io.__file__).parent / "napari.yaml"
+
+
+def test_menus_are_ones_napari_shows(manifest):
+    from napari._app_model.constants import MenuId
+
+    allowed = {menu.value for menu in MenuId.contributables()}
+    assert set(manifest.contributions.menus) <= allowed
+
+
+@pytest.mark.parametrize("name", WIDGETS)
+def test_every_widget_opens(viewer, name):
+    dock, widget = viewer.window.add_plugin_dock_widget("napari-mufasa", name)
+    assert widget.isVisibleTo(dock)
+
+
+def test_reader_restores_the_model_and_stays_lazy(tmp_path, viewer, bright_model, bright_movie):
+    for suffix in (".ome.tif", ".zarr"):
+        path = tmp_path / f"movie{suffix}"
+        io.write_movie(path, [bright_movie.movie], bright_movie.movie.shape, np.uint16, model=bright_model, seed=3)
+        (layer,) = viewer.open(str(path), plugin="napari-mufasa")
+        stored = layer.metadata["napari_mufasa"]
+        assert stored == {"model": bright_model.to_dict(), "seed": 3}
+        assert not isinstance(layer.data, np.ndarray)
+        assert np.array_equal(np.asarray(layer.data), bright_movie.movie)
+        assert layer.scale[-1] == pytest.approx(0.1)
+        assert str(layer.units[-1]) == "micrometer"
+
+
+def test_reader_leaves_foreign_files_alone(tmp_path):
+    import tifffile
+    import zarr
+
+    plain, foreign_ome, stack = tmp_path / "plain.tif", tmp_path / "their.ome.tif", tmp_path / "theirs.zarr"
+    tifffile.imwrite(plain, np.zeros((3, 8, 8), np.uint16))
+    tifffile.imwrite(foreign_ome, np.zeros((3, 8, 8), np.uint16), ome=True)
+    zarr.create_array(store=str(stack), shape=(3, 8, 8), dtype="uint16")
+    broken = tmp_path / "broken.tif"
+    broken.write_bytes(b"no picture")
+    for path in (plain, foreign_ome, stack, broken, tmp_path / "missing.tif", tmp_path):
+        assert get_reader(str(path)) is None
+    assert get_reader([str(plain), str(plain)]) is None
+
+
+def test_layer_saved_and_read_again_is_the_same_movie(tmp_path, with_movie, bright_model, bright_movie):
+    layer = with_movie.layers["bright"]
+    for suffix in (".ome.tif", ".zarr"):
+        path = str(tmp_path / f"saved{suffix}")
+        assert layer.save(path, plugin="napari-mufasa") == [path]
+        data, options, _ = read_layers(path)[0]
+        assert np.array_equal(np.asarray(data), bright_movie.movie)
+        assert options["metadata"]["napari_mufasa"]["model"] == bright_model.to_dict()
+
+
+@pytest.mark.parametrize("key", ["palm", "storm", "ff", "blinking"])
+def test_samples_open_with_their_model(viewer, key):
+    (layer,) = viewer.open_sample("napari-mufasa", key)
+    model = layer.metadata["napari_mufasa"]["model"]
+    assert model["protocol"].lower() == key
+    assert layer.data.shape == (model["acquisition"]["n_frames"], *model["acquisition"]["shape_px"])
+    # A sample shows molecules: most of them are found.
+    found = extract_traces(layer.data, Model.from_dict(model).camera).molecules
+    assert len(found) > model["sample"]["n_molecules"] / 2
+
+
+def test_hidden_effect_sample_tells_the_belief_and_not_the_truth(viewer):
+    dark, movie = viewer.open_sample("napari-mufasa", "hidden_effect")
+    stored = movie.metadata["napari_mufasa"]
+    assert stored["model"]["effects"] == []
+    assert stored["seed"] is None  # with it, the truth could be simulated
+    assert dark.data.shape[1:] == movie.data.shape[1:]
+    # No light in the dark frames: they sit at the baseline, the movie above it.
+    assert abs(dark.data.mean() - stored["model"]["camera"]["baseline_adu"]) < 5
+    assert movie.data.mean() > dark.data.mean() + 50

@@ -1,0 +1,179 @@
+"""The panels, driven as a user would: values and clicks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from napari_mufasa.widgets.compare import ComparePanel
+from napari_mufasa.widgets.denoise import DenoisePanel
+from napari_mufasa.widgets.model_panel import ModelPanel
+from napari_mufasa.widgets.molecules import MoleculesPanel
+from napari_mufasa.widgets.session import session_of
+from napari_mufasa.widgets.simulate import SimulatePanel
+from napari_mufasa.widgets.workflow import STEPS, WorkflowWidget
+
+
+@pytest.fixture
+def open_panel(qtbot):
+    def make(kind, viewer):
+        panel = kind(viewer)
+        viewer.window.add_dock_widget(panel)
+        return panel
+
+    return make
+
+
+def type_into(editor, text):
+    editor.setText(text)
+    editor.editingFinished.emit()
+
+
+def test_simulate_gives_the_movie_of_the_values_typed(viewer, open_panel, run, bright_model):
+    from napari_mufasa.simulation import simulate
+
+    panel = open_panel(SimulatePanel, viewer)
+    session_of(viewer).set_model(bright_model, "test")
+    type_into(panel.acquisition.form.editors["n_frames"], "25")
+    type_into(panel.acquisition.form.editors["shape_px"], "40 x 30")
+    type_into(panel.sample.form.editors["n_molecules"], "5")
+    panel.seed.setValue(11)
+    panel.optical.setChecked(True)
+    run(panel)
+    movie = session_of(viewer).movie_layer
+    wanted = bright_model.with_values(
+        {"acquisition.n_frames": 25, "acquisition.shape_px": (40, 30), "sample.n_molecules": 5}
+    )
+    assert np.array_equal(movie.data, simulate(wanted, seed=11).movie)
+    assert tuple(movie.scale) == pytest.approx((1, 0.1, 0.1))
+    names = [layer.name for layer in viewer.layers]
+    assert names == ["FF simulated, photons", "FF simulated", "FF simulated, true positions"]
+    assert len(viewer.layers[2].data) == 5
+
+
+def test_wrong_value_is_told_and_not_taken(viewer, open_panel):
+    panel = open_panel(SimulatePanel, viewer)
+    before = session_of(viewer).model
+    type_into(panel.acquisition.form.editors["frame_length_s"], "-3")
+    assert session_of(viewer).model == before
+    assert "frame_length_s" in panel.acquisition.problem.text()
+    type_into(panel.acquisition.form.editors["frame_length_s"], "soon")
+    assert session_of(viewer).model == before
+    type_into(panel.acquisition.form.editors["frame_length_s"], "0.05")
+    assert session_of(viewer).model.acquisition.frame_length_s == 0.05
+    assert panel.acquisition.problem.isHidden()
+
+
+def test_denoise_gives_what_the_function_gives(with_movie, open_panel, run, bright_model, bright_movie):
+    from napari_mufasa.denoise import denoise
+
+    panel = open_panel(DenoisePanel, with_movie)
+    panel.method.setCurrentIndex(1)
+    run(panel)
+    layer = with_movie.layers[-1]
+    assert layer.data.dtype == np.float32
+    assert np.array_equal(layer.data, denoise(bright_movie.movie, bright_model.camera, method="pure-let"))
+    assert tuple(layer.scale) == tuple(with_movie.layers["bright"].scale)
+    assert layer.units == with_movie.layers["bright"].units
+
+
+def test_molecules_are_the_simulated_ones_and_a_click_shows_the_trace(with_movie, open_panel, run, bright_movie):
+    panel = open_panel(MoleculesPanel, with_movie)
+    run(panel)
+    points = with_movie.layers[-1]
+    assert list(points.features.columns[:3]) == ["molecule", "y", "x"]
+    assert {"brightness", "snr", "bleaching_frame", "kept", "reason"} <= set(points.features.columns)
+    distance = np.hypot(*(points.data[:, None] - bright_movie.positions_px[None]).transpose(2, 0, 1))
+    inside = np.all((bright_movie.positions_px > 3) & (bright_movie.positions_px < (44, 60)), axis=1)
+    assert np.median(distance.min(axis=0)[inside]) < 0.5
+    # In select mode a click changes the selection.
+    points.selected_data.select_only(2) if hasattr(points.selected_data, "select_only") else None
+    points.selected_data = {2}
+    assert panel.shown == 2
+    assert np.allclose(panel.plot.data["photoelectrons"], panel.traces.all_traces[2])
+    # A person's judgement counts, and says so.
+    was_kept = bool(points.features["kept"][2])
+    panel.toggle_button.click()
+    assert bool(points.features["kept"][2]) is not was_kept
+    assert points.features["reason"][2] == ("rejected by hand" if was_kept else "")
+
+
+def test_traces_are_saved_as_the_contract_says(with_movie, open_panel, run, tmp_path):
+    panel = open_panel(MoleculesPanel, with_movie)
+    panel.best.setValue(4)
+    run(panel)
+    panel.save(str(tmp_path))
+    traces, molecules = pd.read_csv(tmp_path / "traces.csv"), pd.read_csv(tmp_path / "molecules.csv")
+    assert list(traces.columns) == ["molecule", "frame", "photoelectrons"]
+    assert len(traces) == 4 * 60
+    assert set(traces["molecule"]) == set(molecules.loc[molecules["kept"], "molecule"])
+
+
+def test_compare_says_how_near_the_true_model_is(with_movie, open_panel, run):
+    panel = open_panel(ComparePanel, with_movie)
+    panel.fit.setChecked(False)
+    run(panel)
+    w1 = panel.comparison.w1
+    assert w1["mufasa"] < w1["sofi"]
+    assert panel.distances.drawn
+    for i in range(panel.which.count()):
+        panel.which.setCurrentIndex(i)
+        assert len(panel.curves.data) > 1
+
+
+def test_missing_movie_is_a_notification_with_the_remedy(viewer, open_panel):
+    from napari.utils.notifications import notification_manager
+
+    panel = open_panel(DenoisePanel, viewer)
+    n = len(notification_manager.records)
+    panel.run_bar.run_button.click()
+    assert not panel.run_bar.running
+    assert "Open Sample" in notification_manager.records[-1].message
+    assert len(notification_manager.records) == n + 1
+
+
+def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
+    panel = open_panel(ModelPanel, viewer)
+    session = session_of(viewer)
+    panel.source.choose("FF")
+    assert "6725" in panel.derived.text()  # SPEC.md §2: k01 = 6 724.90 per second
+    panel.effects.kinds.setCurrentIndex(panel.effects.kinds.findData("stage_drift"))
+    panel.effects.add_button.click()
+    assert [effect.kind for effect in session.model.effects] == ["stage_drift"]
+    type_into(panel.effects.form.editors["distance_px"], "2.5")
+    assert session.model.effects[0].distance_px == 2.5
+    from qtpy.QtCore import Qt
+
+    panel.effects.list.item(0).setCheckState(Qt.CheckState.Unchecked)
+    assert session.model.effects == ()
+    panel.effects.list.item(0).setCheckState(Qt.CheckState.Checked)
+    assert session.model.effects[0].distance_px == 2.5  # switched off, not forgotten
+    type_into(panel.parts["excitation"].form.editors["power_density_w_per_cm2"], "4")
+    assert "13450" in panel.derived.text()
+
+
+def test_camera_type_brings_or_takes_the_em_gain(viewer, open_panel):
+    panel = open_panel(ModelPanel, viewer)
+    session = session_of(viewer)
+    panel.source.choose("PALM")
+    kind = panel.parts["camera"].form.editors["type"]
+    kind.setCurrentText("EMCCD")
+    kind.activated.emit(kind.currentIndex())
+    assert session.model.camera.em_gain == 300
+    kind.setCurrentText("CMOS")
+    kind.activated.emit(kind.currentIndex())
+    assert session.model.camera.em_gain is None
+
+
+def test_workflow_shares_its_values_between_steps(with_movie, qtbot):
+    widget = WorkflowWidget(with_movie)
+    with_movie.window.add_dock_widget(widget)
+    for index, name in enumerate(STEPS):
+        widget.buttons.button(index).click()
+        assert widget.stack.currentIndex() == index
+        assert widget.step(name).isVisibleTo(widget)
+    camera = widget.step("Camera").editor.form.editors["read_noise_e"]
+    type_into(camera, "33")
+    assert widget.step("Model").parts["camera"].form.value("read_noise_e") == 33
+    assert widget.step("Denoise").session.model.camera.read_noise_e == 33
