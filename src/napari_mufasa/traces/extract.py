@@ -33,7 +33,7 @@ class Options:
     follow_drift : let positions follow the motion common to the field
     roi : (y, x) mask, or polygons as (vertex, 2) arrays of (y, x), as a Shapes layer holds them
     step_false_alarm : probability that a trace without any step is split
-    border_px, isolation_px : None: 2 σ and 3.5 σ, at least 2 and 3 px
+    border_px, isolation_px : None: σ and 3.5 σ, at least 1 and 3 px
     min_snr … best : see `select.Rules`
     """
 
@@ -55,14 +55,14 @@ class Options:
     max_lit_share: float = 1.0
     min_steps: int | None = None
     max_steps: int | None = None
-    width: tuple[float, float] | None = (0.6, 1.5)
+    width: tuple[float, float] | None = (0.6, 1.3)
     window: int | None = None
     best: int | None = None
 
     def rules(self, sigma_px: float) -> select.Rules:
         shared = {f.name: getattr(self, f.name) for f in fields(select.Rules)}
         if self.border_px is None:
-            shared["border_px"] = max(2.0, 2.0 * sigma_px)
+            shared["border_px"] = max(1.0, sigma_px)
         if self.isolation_px is None:
             shared["isolation_px"] = max(3.0, 3.5 * sigma_px)
         return select.Rules(**shared)

@@ -93,7 +93,8 @@ class Rules:
     border_px : distance from the edge; isolation_px : distance to the nearest other candidate
     min_snr : on level over noise per frame; min_brightness_e : smallest on level
     min_lit_frames, max_lit_share : never on; always on (1 keeps molecules that never go dark)
-    min_steps, max_steps : bleaching steps; width : allowed spot width relative to the PSF (narrow, wide)
+    min_steps, max_steps : bleaching steps; width : narrowest axis allowed relative to the PSF, and widest
+        relative to the usual spot of this movie
     window : frames just before bleaching that must be lit; best : how many of the best to keep
     """
 
@@ -105,7 +106,7 @@ class Rules:
     max_lit_share: float = 1.0
     min_steps: int | None = None
     max_steps: int | None = None
-    width: tuple[float, float] | None = (0.6, 1.5)
+    width: tuple[float, float] | None = (0.6, 1.3)
     window: int | None = None
     best: int | None = None
 
@@ -123,6 +124,16 @@ def windows(dyn: Dynamics, window: int, min_share: float = 0.9) -> NDArray[np.in
         if dyn.lit[i, start[i] : end[i]].mean() >= min_share:
             result[i] = start[i]
     return result
+
+
+def usual_width(sigma_major_px: NDArray[np.float64], sigma_px: float) -> float:
+    """Width of the usual spot: the median candidate, since the PSF is never known to the percent.
+
+    At most 1.3 times the PSF, so that a crowded field does not make overlap usual.
+    """
+    if len(sigma_major_px) < 10:
+        return 1.05 * sigma_px
+    return float(np.clip(np.median(sigma_major_px), sigma_px, 1.3 * sigma_px))
 
 
 def judge(table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_px: float) -> None:
@@ -151,8 +162,10 @@ def judge(table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_
         reject(column("brightness") < rules.min_brightness_e, f"dimmer than {rules.min_brightness_e:g} e")
     if rules.width is not None:
         narrow, wide = rules.width
-        reject(column("sigma_minor_px") < narrow * sigma_px, "narrower than the PSF")
-        reject(column("sigma_major_px") > wide * sigma_px, "wider than the PSF")
+        minor, major = column("sigma_minor_px"), column("sigma_major_px")
+        usual = usual_width(major, sigma_px)
+        reject(minor < narrow * sigma_px, "narrower than the PSF")
+        reject(major > wide * usual, "wider than the PSF")
     reject(lit > rules.max_lit_share * shape[0], "always on")
     steps = column("n_steps")
     if rules.max_steps is not None:
