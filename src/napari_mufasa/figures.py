@@ -106,6 +106,12 @@ def comparison_drawings(comparison: Comparison) -> list[Drawing]:
     ]  # fmt: skip
 
 
+def movie_drawing(name: str, movie: NDArray[Any], unit: str) -> Drawing:
+    """Frames spread over a movie."""
+    title = f"{name.capitalize()} ({unit})"
+    return Drawing(name, title, (6.4, 4.4), lambda f: plotting.montage(f, movie, unit=unit, title=title), "png")
+
+
 def mean_image(movie: Any, most_frames: int = 200) -> NDArray[Any]:
     """The time mean (y, x) of frames spread over the movie."""
     import numpy as np

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from napari_mufasa.figures import Drawing, diagnosis_drawings
-from napari_mufasa.wording import chosen_candidates, effect_title, p_value_text, parameter_lines, verdict_text
+from napari_mufasa.wording import chosen_candidates, effect_title, in_text, p_value_text, parameter_lines, verdict_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -89,7 +89,7 @@ def _effect(candidate: Candidate, figure: str) -> str:
     values = "".join(f"<li>{escape(text)}</li>" for text in parameter_lines(candidate))
     doubt = ""
     if candidate.indistinguishable_from:
-        names = ", ".join(effect_title(kind).lower() for kind in candidate.indistinguishable_from)
+        names = ", ".join(in_text(kind) for kind in candidate.indistinguishable_from)
         by = f" What separates them: {effect.separated_by}." if effect is not None and effect.separated_by else ""
         doubt = f"<p class=doubt>These data cannot tell it from {escape(names)}.{escape(by)}</p>"
     share = f"{100 * candidate.share_explained:.0f} % of the removable error" if candidate.share_explained else ""

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.wording import effect_title, number, p_value_text, parameter_label
+from napari_mufasa.wording import effect_title, in_text, number, p_value_text, parameter_label
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -125,7 +125,7 @@ def staircase(ax: Axes, report: Report) -> None:
     if wrong:
         at = min(1, len(steps) - 1)
         errors = [float(c.error_after or 0.0) for c in wrong]
-        label = "best wrong effects" if _fit(ax) < 60 else "instead: " + _listed(wrong)
+        label = "best other effects" if _fit(ax) < 60 else "instead: " + ", ".join(in_text(c.effect) for c in wrong)
         ax.plot([at + 0.22] * len(wrong), errors, "x", color=p.muted, ms=6, label=label)
     floor = report.error.get("floor")
     if floor is not None:
@@ -314,13 +314,17 @@ def distribution(ax: Axes, shown: Distribution, w1: Mapping[str, Any] | None = N
     for (name, y), colour in zip(_by_model(shown.curves), _cycle(), strict=False):
         distance = w1.get(name) if w1 else None
         label = _MODELS.get(name, name) + (f", W1 = {distance:.3g}" if isinstance(distance, float) else "")
+        if not np.isfinite(y).any():
+            continue
         if name == "measured" and density:
             ax.fill_between(shown.x, y, step="mid", color=p.muted, alpha=0.45, lw=0, label=label)
-        elif name == "measured":
-            every = max(1, len(shown.x) // 40)
-            ax.plot(shown.x, y, "o", ms=2.8, color=p.measured, label=label, zorder=3, markevery=every)
         else:
-            ax.plot(shown.x, y, color=colour, lw=1.3, label=label, drawstyle="steps-mid" if density else "default")
+            width, order = (2.2, 1.9) if name == "measured" else (1.3, 2)
+            drawstyle = "steps-mid" if density else "default"
+            ax.plot(shown.x, y, color=colour, lw=width, label=label, drawstyle=drawstyle, zorder=order)
+    if not ax.has_data():
+        _empty(ax, f"no {shown.x_label.split(' (')[0]} seen")
+        return
     ax.set_xlabel(textwrap.fill(shown.x_label, _fit(ax)))
     ax.set_ylabel(shown.y_label)
     _title(ax, shown.name.replace("_", " ").capitalize())
@@ -370,13 +374,12 @@ def montage(parent: Figure | SubFigure, movie: Any, n: int = 6, unit: str = "ADU
 
 def molecules(ax: Axes, picture: NDArray[Any], table: pd.DataFrame, title: str = "Molecules") -> None:
     """Where the molecules are on a (y, x) picture: kept ones, and rejected ones."""
-    p = _palette.get()
     _image(ax, picture, *np.quantile(picture, [0.01, 0.998]))
     kept = table["kept"].to_numpy(bool) if "kept" in table else np.ones(len(table), bool)
-    for chosen, colour, label in ((kept, p.after, "kept"), (~kept, p.bad, "rejected")):
+    for chosen, colour, label in ((kept, "#5fd7ff", "kept"), (~kept, "#ff8a75", "rejected")):  # both on a dark image
         if chosen.any():
             ax.plot(
-                table["x_px"][chosen], table["y_px"][chosen], "o", mfc="none", mec=colour, ms=7, mew=0.9,
+                table["x_px"][chosen], table["y_px"][chosen], "o", mfc="none", mec=colour, ms=10, mew=1.1,
                 label=f"{label} ({int(chosen.sum())})",
             )  # fmt: skip
     _title(ax, title)
@@ -385,10 +388,6 @@ def molecules(ax: Axes, picture: NDArray[Any], table: pd.DataFrame, title: str =
 
 
 # --- helpers -------------------------------------------------------------------------------------
-
-
-def _listed(candidates: Sequence[Candidate]) -> str:
-    return ", ".join(effect_title(c.effect).lower() for c in candidates)
 
 
 def _cycle() -> tuple[str, ...]:
@@ -428,7 +427,7 @@ def _rows(ax: Axes, labels: Sequence[str]) -> None:
 
 def _common_legend(parent: Figure | SubFigure, axes: Any) -> None:
     if len(axes):
-        handles, labels = axes[0].get_legend_handles_labels()
+        handles, labels = max((ax.get_legend_handles_labels() for ax in axes), key=lambda pair: len(pair[1]))
         width_in = parent.bbox.width / parent.figure.dpi
         parent.legend(handles, labels, loc="outside lower center", ncols=max(2, int(width_in / 1.3)))
 

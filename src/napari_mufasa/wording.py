@@ -20,6 +20,12 @@ def effect_title(kind: str) -> str:
         return kind.replace("_", " ")
 
 
+def in_text(kind: str) -> str:
+    """An effect's title inside a sentence: "EM" and other capitals stay."""
+    title = effect_title(kind)
+    return title if title[1:2].isupper() else title[:1].lower() + title[1:]
+
+
 def parameter_label(kind: str, name: str) -> tuple[str, str]:
     """A parameter in words, and its unit: ("distance", "px")."""
     from napari_mufasa.effects import effect_class
@@ -54,14 +60,14 @@ def verdict_text(report: Report) -> tuple[str, str]:
         line = "The model explains this measurement."
         return line, f"Its error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
     fall = f"The error on held-out data falls from {_two(before)} to {_two(after)}; noise alone gives {_two(floor)}."
-    chosen = " and ".join(effect_title(kind).lower() for kind in report.chosen)
+    chosen = " and ".join(in_text(kind) for kind in report.chosen)
     if report.verdict == "missing_effect":
         return f"Missing from the model: {chosen}.", fall
     if report.chosen:
         return f"Part of what is missing is {chosen}; the rest no known effect explains.", fall
     line = "Something is missing that no known effect explains."
     if report.ranking:
-        line += f" It resembles {effect_title(report.ranking[0].effect).lower()} most."
+        line += f" It resembles {in_text(report.ranking[0].effect)} most."
     return line, f"The error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
 
 

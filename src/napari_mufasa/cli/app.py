@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -19,9 +19,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-for module in (making, measuring, discovering):
-    for verb in module.VERBS:
-        app.command(verb.__name__)(verb)
+for verb in (*making.VERBS, *measuring.VERBS, *discovering.VERBS):
+    app.command(verb.__name__)(verb)
 
 
 def _version(wanted: bool) -> None:
@@ -60,6 +59,3 @@ def spread_lists(arguments: Sequence[str]) -> list[str]:
         listing = argument == "--add"
         spread.append(argument)
     return spread
-
-
-__all__: Any = ["app", "spread_lists"]

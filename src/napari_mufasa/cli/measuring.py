@@ -26,6 +26,12 @@ Best = Annotated[int | None, typer.Option("--best", min=1, metavar="N", help="Ke
 IN_MEMORY_BYTES = 2**30
 
 
+class CameraName(StrEnum):
+    CCD = "CCD"
+    EMCCD = "EMCCD"
+    CMOS = "CMOS"
+
+
 class UnitName(StrEnum):
     photoelectrons = "photoelectrons"
     photons = "photons"
@@ -163,9 +169,47 @@ def compare(
         typer.echo(f"note: {note}")
 
 
+def calibrate(
+    movie: MovieFile,
+    out: Annotated[Path, typer.Option("--out", metavar="camera.json", help="The camera part of a model.json.")],
+    dark: DarkFile = None,
+    camera_type: Annotated[CameraName, typer.Option("--type", help="Of the camera.")] = CameraName.EMCCD,
+    em_gain: Annotated[float | None, typer.Option("--em-gain", min=1, metavar="G", help="If known.")] = None,
+    electrons_per_adu: Annotated[
+        float | None, typer.Option("--electrons-per-adu", min=1e-6, metavar="E", help="If known.")
+    ] = None,
+    quantum_efficiency: Annotated[float, typer.Option("--quantum-efficiency", min=0.01, max=1, metavar="QE")] = 0.9,
+) -> None:
+    """Measure the camera: baseline, read noise and gain, from a movie and its dark frames."""
+    from napari_mufasa import io
+    from napari_mufasa.calibrate import calibrate as measure
+
+    console.check_file_out(out)
+    source = io.read_movie(movie)
+    background = None if dark is None else io.load(dark)
+    with console.working("calibrating") as work:
+        found = measure(
+            source.data, background, camera_type=camera_type.value, em_gain=em_gain,
+            electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, **work.both(),
+        )  # fmt: skip
+    io.write_json(out, found.camera.model_dump(mode="json"))
+    console.print_table(
+        ("measured", "value ± sd"),
+        [
+            ("baseline (ADU)", found.baseline_adu),
+            ("read noise (ADU)", found.read_noise_adu),
+            ("ADU per photoelectron", found.adu_per_photoelectron),
+            ("clock-induced charge (e/px/frame)", found.clock_induced_charge_e),
+        ],
+    )
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+    typer.echo(f"{out}: the camera part of a model.json")
+
+
 def _write_figures(folder: Path, drawings: Sequence[Drawing]) -> None:
     for drawing in drawings:
         (folder / f"{drawing.name}.png").write_bytes(drawing.render("light"))
 
 
-VERBS = (denoise, traces, compare)
+VERBS = (denoise, traces, compare, calibrate)
