@@ -261,7 +261,7 @@ class ImageLag(Effect):
     form: Literal["one_frame", "decaying"] = "one_frame"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        # A remainder of fraction^depth is left out; 1e-4 of the signal is far under the noise.
+        # Charge older than `depth` frames counts as `depth` frames old; usually it is 1e-4 of the signal.
         depth = 1
         if self.form == "decaying" and self.fraction > 0:
             depth = max(1, min(40, int(np.ceil(np.log(1e-4) / np.log(self.fraction)))))
@@ -271,7 +271,7 @@ class ImageLag(Effect):
         def lag(electrons: Stack, frames: Frames) -> Stack:
             result = (1 - f) * electrons
             for back in range(1, depth + 1):
-                weight = f if self.form == "one_frame" else (1 - f) * f**back
+                weight = f**depth if back == depth else (1 - f) * f**back  # the last takes the rest
                 result[back:] += weight * electrons[: max(0, len(electrons) - back)]
                 # The sensor was in the same light before the movie began.
                 result[:back] += weight * electrons[:1]

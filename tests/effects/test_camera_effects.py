@@ -1,0 +1,224 @@
+"""Laws of the camera effects at strong values, on flat fields and dark frames.
+
+The CCD of `helpers.ccd` has one electron per count and no read noise: counts − 100 are electrons, Poisson of
+mean 20 without an effect. Tolerances are four standard errors (false alarm 6e-5 each) unless said otherwise.
+"""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from napari_mufasa import simulate, simulate_dark
+from napari_mufasa.camera import photoelectrons
+
+from .helpers import ccd, effect, plain
+
+EMPTY = np.empty((0, 2))
+
+
+def flat(*effects, n_frames=100, shape=(40, 40), seed=1, **values):
+    """Electrons of an evenly lit field without molecules, (frame, y, x)."""
+    model = ccd(**{"acquisition.n_frames": n_frames, "acquisition.shape_px": list(shape)} | values)
+    return simulate(model.with_effects(*effects), EMPTY, seed=seed).movie.astype(float) - 100
+
+
+def dark(*effects, n_frames=100, shape=(40, 40), seed=1, **values):
+    model = ccd(**{"acquisition.shape_px": list(shape)} | values)
+    return simulate_dark(model.with_effects(*effects), n_frames, seed=seed).astype(float) - 100
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.4, 3.0])
+def test_em_excess_noise_is_variance_over_mean(factor):
+    model = plain(n_frames=100, shape=(40, 40), **{"camera.read_noise_e": 0.0})
+    model = model.with_effects(effect("em_excess_noise", excess_noise_factor=factor))
+    electrons = photoelectrons(simulate(model, EMPTY, seed=1).movie, model.camera).astype(float)
+    mean = 0.9 * 20 + 0.002
+    assert electrons.mean() == pytest.approx(mean, abs=4 * np.sqrt(factor * mean / electrons.size))
+    fourth = np.mean((electrons - electrons.mean()) ** 4)
+    error = np.sqrt((fourth - electrons.var() ** 2) / electrons.size) / mean
+    assert electrons.var() / mean == pytest.approx(factor, abs=4 * error)
+
+
+def test_clock_induced_charge_adds_its_electrons_in_the_dark_too():
+    for electrons, without in ((flat(effect("clock_induced_charge", electrons=0.4)), 20.0),
+                               (dark(effect("clock_induced_charge", electrons=0.4)), 0.0)):  # fmt: skip
+        mean = without + 0.4
+        assert electrons.mean() == pytest.approx(mean, abs=4 * np.sqrt(mean / electrons.size))
+
+
+@pytest.mark.parametrize("form", ["pixels", "columns"])
+def test_gain_pattern_has_its_rms_and_grows_with_the_light(form):
+    added = effect("pixel_gain_variation", rms=0.1, form=form)
+    pattern = flat(added, n_frames=400, shape=(64, 64)).mean(axis=0) / 20
+    bright = flat(added, n_frames=400, shape=(64, 64), **{"optics.background_photons_per_px": 200}).mean(axis=0) / 200
+    n = pattern.size if form == "pixels" else 64
+    shot = 1 / (400 * 200)  # relative variance of the mean by shot noise; the floor of counts adds ½/200
+    assert np.sqrt(bright.var() - shot) == pytest.approx(0.1, abs=4 * 0.1 / np.sqrt(2 * n))
+    assert np.corrcoef(pattern.ravel(), bright.ravel())[0, 1] > 0.97
+    if form == "columns":
+        assert bright.mean(axis=0).std() == pytest.approx(bright.std(), rel=0.02)
+    assert np.all(dark(added, n_frames=3) == 0)
+
+
+@pytest.mark.parametrize("form", ["columns", "pixels"])
+def test_offset_pattern_has_its_rms_with_and_without_light(form):
+    added = effect("column_offset", rms_adu=6.0, form=form)
+    in_dark = dark(added, n_frames=3, shape=(64, 64)).mean(axis=0)
+    lit = flat(added, n_frames=400, shape=(64, 64)).mean(axis=0) - 20
+    n = in_dark.size if form == "pixels" else 64
+    assert in_dark.std() == pytest.approx(np.sqrt(36 + 1 / 12), abs=4 * 6 / np.sqrt(2 * n))
+    np.testing.assert_allclose(lit, in_dark, atol=1.0 + 5 * np.sqrt(20 / 400))
+    assert (in_dark.std(axis=0).max() == 0) == (form == "columns")
+
+
+@pytest.mark.parametrize("form", ["rows", "drifting_rows"])
+def test_row_noise_is_the_variance_of_row_means(form):
+    movie = dark(effect("row_noise", rms_adu=5.0, form=form), n_frames=300, shape=(40, 32))
+    assert np.all(movie == movie[:, :, :1])  # one offset per row and frame, nothing else in this dark
+    rows = movie[:, :, 0] + 0.5
+    independent = rows.size if form == "rows" else rows.size / 9
+    assert rows.var() == pytest.approx(25 + 1 / 12, rel=4 * np.sqrt(2 / independent))
+    assert rows.mean() == pytest.approx(0, abs=4 * 5 / np.sqrt(rows.size / (1 if form == "rows" else 9)))
+    between_frames = np.mean(rows[1:] * rows[:-1]) / 25
+    assert abs(between_frames) < 4 / np.sqrt(independent)
+    between_rows = np.mean(rows[:, 1:] * rows[:, :-1]) / 25
+    expected = 0.0 if form == "rows" else 8 / 9
+    assert between_rows == pytest.approx(expected, abs=4 * (1 + expected) / np.sqrt(independent))
+
+
+def test_hot_pixels_are_as_many_and_as_hot_as_said():
+    added = effect("hot_pixels", fraction=0.02, electrons=40.0)
+    movie = dark(added, n_frames=200, shape=(100, 100))
+    leak = movie.mean(axis=0)
+    hot = leak > 0
+    seen = np.exp(-0.005 / 40)  # a leak under 0.005 e⁻ may not show in 200 frames
+    assert hot.mean() == pytest.approx(0.02 * seen, abs=4 * np.sqrt(0.02 / 10_000))
+    assert leak[hot].mean() == pytest.approx(40, abs=4 * 40 / np.sqrt(hot.sum()))  # exponential: sd = mean
+    np.testing.assert_array_equal(hot, dark(added, n_frames=200, shape=(100, 100), seed=1).mean(axis=0) > 0)
+    noise = movie.var(axis=0)[hot] / leak[hot]
+    assert noise.mean() == pytest.approx(1.0, abs=4 * np.sqrt(2 / 200) / np.sqrt(hot.sum()) * 1.5)  # Poisson leak
+
+
+def test_telegraph_pixels_are_on_half_of_the_time():
+    steady, telegraph = (
+        dark(effect("hot_pixels", fraction=0.02, electrons=400.0, form=form), n_frames=400, shape=(100, 100))
+        for form in ("steady", "telegraph")
+    )
+    hot = steady.mean(axis=0) > 50
+    on = telegraph[:, hot] > 20
+    # 400 frames are 20 dwell times: the share's sd per pixel is about 0.5·√(2·10/400) = 0.11.
+    assert on.mean() == pytest.approx(0.5, abs=4 * 0.12 / np.sqrt(hot.sum()))
+    switches = np.mean(on[1:] != on[:-1])
+    assert switches == pytest.approx(1 / 20, abs=4 * np.sqrt(0.05 / on[1:].size))
+    level = telegraph[:, hot].max(axis=0) / steady[:, hot].max(axis=0)
+    assert np.median(level) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("form", ["soft", "hard"])
+@pytest.mark.parametrize("light", [20, 200, 2000])
+def test_saturation_bends_at_its_full_scale(form, light):
+    added = effect("detector_saturation", inverse_full_scale=1 / 200, form=form)
+    electrons = flat(added, n_frames=50, **{"optics.background_photons_per_px": light})
+    n = np.arange(4000)
+    p = stats.poisson.pmf(n, light)
+    bent = np.minimum(n, 200) if form == "hard" else n / (1 + n / 200)
+    mean, variance = (p * bent).sum(), (p * bent**2).sum() - (p * bent).sum() ** 2
+    floor = 0 if form == "hard" else 0.5  # whole numbers are not floored
+    error = 4 * np.sqrt((variance + 0.1) / electrons.size)
+    # A soft curve's counts are few near the top, so its floor loses ½ on average only to a few hundredths.
+    assert electrons.mean() + floor == pytest.approx(mean, abs=error + (0.06 if form == "soft" else 0))
+    assert electrons.max() <= 200
+
+
+def test_saturation_is_in_photoelectrons_for_every_camera():
+    model = plain(n_frames=30, **{"optics.background_photons_per_px": 3000, "camera.electrons_per_adu": 60.0})
+    model = model.with_effects(effect("detector_saturation", inverse_full_scale=0.01, form="hard"))
+    electrons = photoelectrons(simulate(model, EMPTY, seed=1).movie, model.camera)
+    assert electrons.mean() == pytest.approx(100, rel=1e-2)
+
+
+@pytest.mark.parametrize("form", ["one_frame", "decaying"])
+@pytest.mark.parametrize("f", [0.1, 0.4])
+def test_image_lag_correlates_neighbouring_frames(form, f):
+    movie = flat(effect("image_lag", fraction=f, form=form), n_frames=200, **{"optics.background_photons_per_px": 400})
+    # The mean stays; the floor of a mixture of counts takes half a count.
+    spread = np.sqrt(400 / movie.size)
+    assert movie.mean() + 0.5 == pytest.approx(400, abs=4 * spread + 0.1)
+    z = movie - movie.mean()
+    if form == "one_frame":
+        expected = {1: f * (1 - f) / ((1 - f) ** 2 + f**2), 2: 0.0}
+        variance = 400 * ((1 - f) ** 2 + f**2)
+    else:  # y = (1−f) Σ f^k x(t−k)
+        expected = {1: f, 2: f**2}
+        variance = 400 * (1 - f) / (1 + f)
+    later = z[40:]
+    assert later.var() == pytest.approx(variance + 1 / 12, rel=4 * np.sqrt(2 * (1 + 2 * f) / later.size) + 1e-3)
+    for lag, correlation in expected.items():
+        found = np.mean(later[lag:] * later[:-lag]) / later.var()
+        assert found == pytest.approx(correlation, abs=5 / np.sqrt(later.size))
+
+
+def test_image_lag_of_movies_shorter_than_its_memory():
+    for n_frames in (1, 2, 4, 7):
+        movie = flat(effect("image_lag", fraction=0.8, form="decaying"), n_frames=n_frames)
+        # Fractions of counts are floored: half a count on average, a whole one where 20 becomes 19.999.
+        assert movie.shape[0] == n_frames and movie.mean() == pytest.approx(19.5, abs=1.0)
+
+
+def test_a_strong_lag_keeps_all_charge():
+    movie = flat(
+        effect("image_lag", fraction=0.9, form="decaying"), n_frames=20, **{"optics.background_photons_per_px": 2000}
+    )
+    assert movie.mean() == pytest.approx(2000, abs=4 * np.sqrt(2000 / 1600) + 1)  # the start is one frame's noise
+
+
+def test_image_lag_leaves_a_shadow_of_what_is_gone():
+    added = (effect("image_lag", fraction=0.2), effect("laser_drift", change=-0.95, form="step"))
+    movie = flat(*added, n_frames=101, **{"optics.background_photons_per_px": 1000}).mean(axis=(1, 2))
+    light = 1 - 0.95 / (1 + np.exp(-(np.linspace(0, 1, 101) - 0.5) * 60))
+    expected = 1000 * (0.8 * light[1:] + 0.2 * light[:-1])
+    assert np.all(np.abs(movie[1:] + 0.5 - expected) < 4.5 * np.sqrt(1000 / 1600))  # 100 frames: 7e-4
+
+
+@pytest.mark.parametrize("form", ["linear", "saturating", "step"])
+def test_baseline_drift_moves_the_mean_and_not_the_variance(form):
+    movie = flat(effect("baseline_drift", drift_adu=30.0, form=form), shape=(64, 64))
+    mean, variance = movie.mean(axis=(1, 2)), movie.var(axis=(1, 2))
+    n = 64 * 64
+    assert mean[-1] - mean[0] == pytest.approx(30, abs=4 * np.sqrt(2 * 20 / n) + 0.5)
+    assert np.all(np.abs(variance / 20 - 1) < 4.5 * np.sqrt(2.05 / n))  # 100 frames: 7e-4
+    if form == "linear":
+        assert np.polyfit(np.arange(100), mean, 1)[0] == pytest.approx(30 / 99, rel=0.01)
+
+
+def test_wandering_baseline_stays_within_its_drift():
+    movie = flat(effect("baseline_drift", drift_adu=30.0, form="wandering"), shape=(64, 64)).mean(axis=(1, 2))
+    assert np.abs(movie - movie[0]).max() == pytest.approx(30, abs=1.0)
+
+
+@pytest.mark.parametrize("form", ["points", "tracks"])
+def test_cosmic_rays_come_at_their_rate_with_their_charge(form):
+    rate, charge, n_frames = 1.5, 20_000.0, 800
+    added = effect("cosmic_rays", hits_per_frame=rate, electrons=charge, form=form)
+    movie = dark(added, n_frames=n_frames, shape=(64, 64))
+    total = movie.sum(axis=(1, 2))
+    # Compound Poisson: mean rate·charge, variance 2·rate·charge²; tracks lose what leaves the field (< 5 %).
+    error = charge * np.sqrt(2 * rate / n_frames)
+    lost = 0.0 if form == "points" else 0.05 * rate * charge
+    assert rate * charge - 4 * error - lost < total.mean() < rate * charge + 4 * error
+    quiet = np.mean(total == 0)
+    assert quiet == pytest.approx(np.exp(-rate), abs=4 * np.sqrt(np.exp(-rate) / n_frames))
+    lit = (movie > 0).sum(axis=(1, 2))
+    assert lit.mean() == pytest.approx(rate if form == "points" else rate * 4.2, rel=0.2)
+    # They do not repeat at a pixel: hits per pixel are Poisson, not clumped.
+    per_pixel = (movie > 0).sum(axis=0)
+    assert per_pixel.var() / per_pixel.mean() == pytest.approx(1.0, abs=4 * np.sqrt(2 / 4096) + 0.05)
+
+
+def test_cosmic_charge_is_multiplied_by_the_em_register():
+    model = plain(shape=(32, 32), **{"camera.electrons_per_adu": 500.0})
+    model = model.with_effects(effect("cosmic_rays", hits_per_frame=5.0, electrons=400.0))
+    movie = photoelectrons(simulate_dark(model, 200, seed=2), model.camera).astype(float)
+    total = movie.sum(axis=(1, 2)) - 0.002 * 1024
+    # Counts end at 65535 ADU = 6.5e4 photoelectrons: no hit is cut.
+    assert total.mean() == pytest.approx(2000, abs=4 * 400 * np.sqrt(2 * 5 / 200) + 20)
