@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.compare.distributions import Distribution, Sample, distributions
-from napari_mufasa.compare.fit import Fit, fit_model
-from napari_mufasa.compare.simulated import acquisitions, apart, extract_simulated
+from napari_mufasa.compare.fit import Fit, fit_gain, fit_model, fit_raw_traces
+from napari_mufasa.compare.simulated import acquisitions, extract_simulated, far_apart
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model import Model
@@ -45,7 +45,7 @@ class Comparison:
     model: Model
     fit: Fit | None = None
     measured: TraceSet | None = None
-    notes: list[str] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
 
     def report(self) -> dict[str, Any]:
         """Plain data for report.json (SPEC.md §10)."""
@@ -60,7 +60,7 @@ class Comparison:
             "fitted_model": None if self.fit is None else self.fit.model.to_dict(),
             "distributions": {name: d.as_dict() for name, d in self.distributions.items()},
             "model": self.model.to_dict(),
-            "notes": self.notes,
+            "notes": list(self.notes),
         }
 
 
@@ -119,7 +119,9 @@ def compare_movie(
         sets["fitted"] = extract_simulated(one, options, cancel=cancel)
         steps.done()
     samples = {name: _sample(s) for name, s in {"measured": measured, **sets}.items()}
-    notes = [f"{name}: no molecule was detected in the simulated movie" for name, s in sets.items() if not s.kept.any()]
+    notes = tuple(
+        f"{name}: no molecule was detected in the simulated movie" for name, s in sets.items() if not s.kept.any()
+    )
     return _compare(samples, model, measured.units, seed, n_bootstrap, fitted, measured, notes)
 
 
@@ -130,6 +132,7 @@ def compare_traces(
     unit: str = "photoelectrons",
     profile: str = "psf",
     background_subtracted: bool = True,
+    pixel_share: float | None = None,
     window: int | None = None,
     best: int | None = None,
     seed: int = 0,
@@ -147,6 +150,7 @@ def compare_traces(
     ----------
     traces : (molecule, frame) in `unit`: "photoelectrons", "photons" or "adu"
     profile : what the traces hold: "brightest_pixel", "sum" or "psf"
+    pixel_share : share of a molecule's light in its brightest pixel, if it is not the PSF's
     background_subtracted : whether the local background was taken off the traces
     window, best : cut measured and simulated traces alike to the `window` frames before bleaching in which
         they are active, and keep the `best` of them
@@ -158,28 +162,36 @@ def compare_traces(
     model = model.model_copy(update={"acquisition": timing})
     options = Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=background_subtracted)  # type: ignore[arg-type]
     n = n_simulated or max(200, len(electrons))
-    far, places = apart(model, n, options, seed)
+    field = far_apart(model.sigma_px, n, options, seed, pixel_share)
 
     def measured_like(values: NDArray[np.floating]) -> Sample:
-        return _cut(values, model, background_subtracted, window, best)
+        return _cut(values, model, background_subtracted, window, best if values is electrons else None)
 
     def simulate(candidate: Model) -> NDArray[np.float32]:
-        spread = candidate.model_copy(update={"camera": far.camera, "acquisition": far.acquisition})
-        one = acquisitions(spread, places, seed)["mufasa"]
-        return extract_simulated(one, options, places, cancel).all_traces
+        return field.traces(field.acquisitions(candidate, seed)["mufasa"], options, cancel)
 
     samples = {"measured": measured_like(electrons)}
     if len(samples["measured"].traces) == 0:
         raise MufasaError(f"no trace is active in the {window} frames before bleaching: choose a smaller window")
-    for name, acquisition in acquisitions(far, places, seed).items():
-        samples[name] = measured_like(extract_simulated(acquisition, options, places, cancel).all_traces)
+    for name, acquisition in field.acquisitions(model, seed).items():
+        samples[name] = measured_like(field.traces(acquisition, options, cancel))
     fitted = None
     if fit:
-        fitted = fit_model(electrons, model, simulate, background_subtracted=background_subtracted)
-        spread = fitted.model.model_copy(update={"camera": far.camera, "acquisition": far.acquisition})
-        one = acquisitions(spread, places, seed + 10)["mufasa"]
-        samples["fitted"] = measured_like(extract_simulated(one, options, places, cancel).all_traces)
-    notes = [f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0]
+        gain = 1.0
+        start = model
+        if unit == "adu":
+            start, gain = fit_gain(np.asarray(traces), model)
+        if background_subtracted:
+            fitted = fit_model(electrons / gain, start, simulate)
+        else:
+            fitted = fit_raw_traces(electrons / gain, start, simulate)
+        if gain != 1.0:
+            fitted.values["camera.em_gain"] = float(fitted.model.camera.em_gain or 1.0)
+        # Another seed than the fit used: the fit must not profit from its own chance. A fitted gain changes
+        # what a photoelectron is worth in ADU; all samples stay in the unit of the model as given.
+        acquisition = field.acquisitions(fitted.model, seed + 10)["mufasa"]
+        samples["fitted"] = measured_like(gain * field.traces(acquisition, options, cancel))
+    notes = tuple(f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0)
     return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
 
 
@@ -241,7 +253,7 @@ def _background_e(model: Model) -> float:
 
 def _compare(
     samples: dict[str, Sample], model: Model, unit: str, seed: int, n_bootstrap: int, fitted: Fit | None,
-    measured: TraceSet | None, notes: list[str],
+    measured: TraceSet | None, notes: tuple[str, ...],
 ) -> Comparison:  # fmt: skip
     rng = np.random.default_rng(seed)
     real = samples["measured"].traces

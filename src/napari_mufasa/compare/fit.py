@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.camera import multiplication_noise
 from napari_mufasa.effects.base import effect_from_data
 from napari_mufasa.model import Model
 from napari_mufasa.traces import TraceSet
@@ -35,7 +36,6 @@ def fit_model(
     model: Model,
     simulate: Callable[[Model], Any],
     *,
-    background_subtracted: bool = True,
     rounds: int = ROUNDS,
 ) -> Fit:
     """Fit brightness, background, bleaching rate and spread of brightness by moments (SPEC.md §7).
@@ -47,23 +47,69 @@ def fit_model(
     fitted = model
     if isinstance(measured, TraceSet):
         fitted = _with_background(fitted, measured.background_e, values)
-    elif not background_subtracted:
-        # Traces alone do not tell background from light: the dimmest trace bounds it.
-        lowest = float(np.percentile(np.asarray(measured).mean(axis=1), 1))
-        ceiling = model.camera.quantum_efficiency * model.optics.background_photons_per_px
-        fitted = _with_background(fitted, min(ceiling, 0.9 * lowest), values)
-    offset = 0.0 if background_subtracted else _background_e(fitted)
-    real = _moments(measured, offset)
-    fitted = _with_bleaching(fitted, real, values)
+    real = _moments(measured)
+    fitted = _with_bleaching(fitted, real.bleaching_rate(model), values)
     for _ in range(rounds):
-        made = _moments(simulate(fitted), offset)
-        ratio = real.level / made.level if made.n else 2.0  # nothing detected: brighten until something is
-        factor = float(np.clip(fitted.optics.brightness_correction * np.clip(ratio, 0.1, 10.0), 1e-4, 1e5))
-        fitted = fitted.with_values({"optics.brightness_correction": factor})
-        values["optics.brightness_correction"] = factor
+        made = _moments(simulate(fitted))
+        # Nothing detected: brighten until something is.
+        fitted = _brightened(fitted, real.level / made.level if made.n else 2.0, values)
         if made.n > 1:
-            fitted = _with_spread(fitted, real, made, values)
+            fitted = _with_spread(fitted, real.spread**2 - made.spread**2, values)
     return Fit(fitted, values)
+
+
+def fit_raw_traces(
+    measured: NDArray[np.floating], model: Model, simulate: Callable[[Model], Any], *, rounds: int = ROUNDS
+) -> Fit:
+    """Fit traces (molecule, frame) from which no background was taken off, by moments.
+
+    Their mean over molecules is b + A·exp(−kt): b gives the background, k the bleaching rate, A (by comparison
+    with the simulation) the brightness. The spread of brightness is what the slow variation between molecules
+    (covariance of successive frames about the mean course) needs beyond the simulation.
+    """
+    from scipy.optimize import curve_fit
+
+    values: dict[str, float] = {}
+    measured = np.asarray(measured, dtype=np.float64)
+    course, n_frames = measured.mean(axis=0), measured.shape[1]
+    t = np.arange(n_frames) / n_frames
+
+    def curve(t: NDArray[np.float64], b: float, a: float, k: float) -> NDArray[np.float64]:
+        return np.asarray(b + a * np.exp(-k * t))
+
+    start = (max(course.min() * 0.9, 1e-3), max(np.ptp(course), 1e-3), 1.0)
+    b, _, k = curve_fit(curve, t, course, p0=start, bounds=((0, 0, 0), (max(course.max(), 1e-2), np.inf, 20)))[0]
+    fitted = _with_background(model, float(b), values)
+    fitted = _with_bleaching(fitted, float(k) / (n_frames * model.acquisition.interval_s), values)
+    for _ in range(rounds):
+        made: NDArray[np.float64] = np.asarray(simulate(fitted), dtype=np.float64)
+        signal = float(made.mean() - b)
+        fitted = _brightened(fitted, float(course.mean() - b) / signal if signal > 0 else 2.0, values)
+        excess = _slow_variance(measured) - _slow_variance(made)
+        fitted = _with_spread(fitted, excess / max(float(course.mean() - b), 1e-9) ** 2, values)
+    return Fit(fitted, values)
+
+
+def fit_gain(traces_adu: NDArray[np.floating], model: Model) -> tuple[Model, float]:
+    """The EM gain that the noise of ADU traces (molecule, frame) asks for, and its ratio to the model's.
+
+    Variance from second differences in time over signal = F²·ADU per photoelectron, all traces together.
+    """
+    camera = model.camera
+    second = np.diff(np.asarray(traces_adu, dtype=np.float64), n=2, axis=1)
+    variance = float(np.mean(second**2)) / 6 - (camera.read_noise_e / camera.electrons_per_adu) ** 2
+    signal = float(np.mean(traces_adu)) + 0.5 - camera.baseline_adu
+    if camera.type != "EMCCD" or signal <= 0 or variance <= 0:
+        return model, 1.0
+    per_electron = variance / signal / multiplication_noise(camera)
+    gain = max(1.0, per_electron * camera.electrons_per_adu)
+    return model.with_values({"camera.em_gain": gain}), gain / float(camera.em_gain or 1.0)
+
+
+def _slow_variance(traces: NDArray[np.floating]) -> float:
+    """Covariance of successive frames about the mean course: variance that is not noise of single frames."""
+    about = traces - traces.mean(axis=0)
+    return float(np.mean(about[:, 1:] * about[:, :-1]))
 
 
 @dataclass(frozen=True)
@@ -74,9 +120,14 @@ class _Moments:
     bleached: float  # share by the end
     n_frames: int
 
+    def bleaching_rate(self, model: Model) -> float:
+        """The rate, 1/s, at which this share has bleached by the end."""
+        share = min(self.bleached, 1 - 0.5 / max(self.n, 1))
+        return float(-np.log1p(-share) / (self.n_frames * model.acquisition.interval_s))
 
-def _moments(traces: Any, offset_e: float) -> _Moments:
-    array = np.asarray(traces.traces if isinstance(traces, TraceSet) else traces, dtype=float) - offset_e
+
+def _moments(traces: Any) -> _Moments:
+    array = np.asarray(traces.traces if isinstance(traces, TraceSet) else traces, dtype=float)
     if len(array) == 0:
         return _Moments(0, 0.0, 0.0, 0.0, array.shape[1])
     dyn: Dynamics = dynamics(array)
@@ -99,29 +150,28 @@ def _with_background(model: Model, background_e: float, values: dict[str, float]
     return model.with_values({"optics.background_photons_per_px": photons})
 
 
-def _with_bleaching(model: Model, real: _Moments, values: dict[str, float]) -> Model:
-    """The rate at which the measured share has bleached by the end; the model's own bleaching is replaced."""
-    share = min(real.bleached, 1 - 0.5 / max(real.n, 1))
-    seconds = real.n_frames * model.acquisition.interval_s
-    rate = -np.log1p(-share) / seconds
-    values["photobleaching.rate_per_s"] = float(rate)
+def _with_bleaching(model: Model, rate_per_s: float, values: dict[str, float]) -> Model:
+    """Bleaching at this rate in the time of the movie; the model's own bleaching is replaced."""
+    values["photobleaching.rate_per_s"] = rate_per_s
     plain = model.with_values({"fluorophore.cycles_before_bleaching": None})
     kept = tuple(effect for effect in plain.effects if effect.kind != "photobleaching")
     plain = plain.model_copy(update={"effects": kept})
-    if rate <= 0:
+    if rate_per_s <= 0:
         return plain
-    exposure = model.acquisition.frame_length_s / model.acquisition.interval_s
-    return plain.with_effects(effect_from_data({"kind": "photobleaching", "rate_per_s": float(rate / exposure)}))
+    lit_share = model.acquisition.frame_length_s / model.acquisition.interval_s
+    return plain.with_effects(effect_from_data({"kind": "photobleaching", "rate_per_s": rate_per_s / lit_share}))
 
 
-def _with_spread(model: Model, real: _Moments, made: _Moments, values: dict[str, float]) -> Model:
-    """Add what is missing of the spread of levels, in quadrature, to what the model has already."""
+def _brightened(model: Model, ratio: float, values: dict[str, float]) -> Model:
+    factor = model.optics.brightness_correction * float(np.clip(ratio, 0.1, 10.0))
+    factor = float(np.clip(factor, 1e-4, 1e5))
+    values["optics.brightness_correction"] = factor
+    return model.with_values({"optics.brightness_correction": factor})
+
+
+def _with_spread(model: Model, missing_variance: float, values: dict[str, float]) -> Model:
+    """Add what is missing of the relative variance of levels to what the model has already."""
     have = next((e.spread for e in model.effects if e.kind == "brightness_heterogeneity"), 0.0)  # type: ignore[attr-defined]
-    spread = float(np.sqrt(max(0.0, have**2 + real.spread**2 - made.spread**2)))
+    spread = min(float(np.sqrt(max(0.0, have**2 + missing_variance))), 3.0)
     values["brightness_heterogeneity.spread"] = spread
-    return model.with_effects(effect_from_data({"kind": "brightness_heterogeneity", "spread": min(spread, 3.0)}))
-
-
-def _background_e(model: Model) -> float:
-    camera = model.camera
-    return camera.quantum_efficiency * model.optics.background_photons_per_px + camera.clock_induced_charge_e
+    return model.with_effects(effect_from_data({"kind": "brightness_heterogeneity", "spread": spread}))

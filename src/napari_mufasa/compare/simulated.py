@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from napari_mufasa.model import Model
 from napari_mufasa.simulation import Acquisition
 from napari_mufasa.streams import Streams
 from napari_mufasa.traces import Options, TraceSet, extract_traces
+from napari_mufasa.traces.profile import pixel_shares
 
 Cancel = Callable[[], bool]
 IN_MEMORY_BYTES = 2**29  # larger movies are simulated anew for every block that extraction asks for
@@ -70,17 +72,55 @@ def extract_simulated(
     return extract_traces(movie, camera, options=options, positions_px=positions_px, cancel=cancel)
 
 
-def apart(model: Model, n_molecules: int, options: Options, seed: int) -> tuple[Model, NDArray[np.float64]]:
-    """The model with a field in which n molecules lie far apart, and their positions: for traces without a movie."""
-    sigma = model.sigma_px
-    spacing = int(np.ceil(8 * sigma)) + 3
+@dataclass(frozen=True)
+class FarApart:
+    """Molecules far from each other, each anywhere within its pixel: how traces without a movie are simulated.
+
+    positions_px : (molecule, 2); shape_px : the field that holds them; brightening : factor on the light, so
+    that a pixel holds the share of it that was asked for
+    """
+
+    positions_px: NDArray[np.float64]
+    shape_px: tuple[int, int]
+    brightening: float = 1.0
+
+    def model(self, model: Model) -> Model:
+        """The model in this field."""
+        maps = {"offset_map_adu": None, "gain_map": None, "variance_map_e2": None}
+        camera = model.camera.model_copy(update=maps)  # maps belong to the real field
+        acquisition = model.acquisition.model_copy(update={"shape_px": self.shape_px})
+        factor = model.optics.brightness_correction * self.brightening
+        optics = model.optics.model_copy(update={"brightness_correction": factor})
+        return model.model_copy(update={"camera": camera, "acquisition": acquisition, "optics": optics})
+
+    def acquisitions(self, model: Model, seed: int) -> dict[str, Acquisition]:
+        return acquisitions(self.model(model), self.positions_px, seed)
+
+    def traces(self, acquisition: Acquisition, options: Options, cancel: Cancel | None = None) -> NDArray[np.float32]:
+        """(molecule, frame) photoelectrons at the known positions."""
+        return extract_simulated(acquisition, options, self.positions_px, cancel).all_traces
+
+
+def far_apart(
+    sigma_px: float, n_molecules: int, options: Options, seed: int, pixel_share: float | None = None
+) -> FarApart:
+    """n molecules so far apart that neither light nor background rings overlap.
+
+    With `pixel_share`, molecules sit at pixel centres and are brightened so that this share of a molecule's
+    light falls in its brightest pixel (1: a detector that collects a molecule in one pixel).
+    """
+    spacing = int(np.ceil(8 * sigma_px)) + 3
     if options.subtract_background:
-        spacing += int(np.ceil(2 * max(3.0, 2 * sigma)))
+        spacing += int(np.ceil(2 * max(3.0, 2 * sigma_px)))
     columns = int(np.ceil(np.sqrt(n_molecules)))
     rows = -(-n_molecules // columns)
-    place = np.stack(np.divmod(np.arange(n_molecules), columns), axis=1) * float(spacing) + (spacing - 1) / 2
-    place = np.rint(place) + Streams(seed).of("place in the pixel").uniform(-0.5, 0.5, place.shape)
-    maps = {"offset_map_adu": None, "gain_map": None, "variance_map_e2": None}
-    camera = model.camera.model_copy(update=maps)  # maps belong to the real field
-    acquisition = model.acquisition.model_copy(update={"shape_px": (rows * spacing, columns * spacing)})
-    return model.model_copy(update={"camera": camera, "acquisition": acquisition}), place
+    place = np.stack(np.divmod(np.arange(n_molecules), columns), axis=1) * float(spacing) + spacing // 2
+    if pixel_share is not None:
+        zero = np.zeros(1)
+        return FarApart(place, (rows * spacing, columns * spacing), pixel_share / _share_at(zero, sigma_px))
+    place = place + Streams(seed).of("place in the pixel").uniform(-0.5, 0.5, place.shape)
+    return FarApart(place, (rows * spacing, columns * spacing))
+
+
+def _share_at(offset_px: NDArray[np.float64], sigma_px: float) -> float:
+    return float(pixel_shares(offset_px, offset_px, sigma_px)[0])

@@ -159,9 +159,10 @@ def extract_traces(
             frames, sigma, block=options.time_block, drift_px=motion, report=report, cancel=cancel
         )
         found, strength, _ = detect.candidates(image, sigma, method=options.threshold, value=options.threshold_value)
+        outstanding = detect.prominence(image, found, sigma)
     else:
         found = _check_positions(positions_px)
-        strength = np.full(len(found), np.nan)
+        strength = outstanding = np.full(len(found), np.nan)
     if options.position not in ("fit", "brightest_pixel"):
         raise MufasaError(f"position {options.position!r} is unknown: choose 'fit' or 'brightest_pixel'")
     if options.position == "brightest_pixel" and positions_px is None:
@@ -170,7 +171,7 @@ def extract_traces(
     measured = _measure(frames, found, sigma, options, motion, report, cancel)
     refine = options.position == "fit" and positions_px is None
     positions = found + (measured.spots.shift_px if refine else 0.0)
-    table, lit = _describe(measured, positions, strength, options, frames)
+    table, lit = _describe(measured, positions, strength, outstanding, options, frames)
     select.judge(table, options.rules(sigma), frames.shape, sigma)
     return TraceSet(
         traces=_kept_traces(measured.traces, table, options.window),
@@ -224,7 +225,8 @@ def _measure(
 
 
 def _describe(
-    measured: _Measured, positions: NDArray[np.float64], strength: NDArray[np.float64], options: Options,
+    measured: _Measured, positions: NDArray[np.float64], strength: NDArray[np.float64],
+    outstanding: NDArray[np.float64], options: Options,
     frames: Frames,
 ) -> tuple[pd.DataFrame, NDArray[np.bool_]]:  # fmt: skip
     """The table of candidates, without the verdict."""
@@ -253,10 +255,11 @@ def _describe(
             "n_blinks": dyn.n_blinks,
             "lit_frames": dyn.lit.sum(axis=1),
             "window_start": window_start,
-            "neighbour_px": _nearest(positions),
+            "neighbour_px": _nearest(positions, ~(outstanding < select.LEAST_PROMINENCE)),
             "sigma_minor_px": measured.spots.sigma_px[:, 0],
             "sigma_major_px": measured.spots.sigma_px[:, 1],
             "significance": strength,
+            "prominence": outstanding,
             "background_e": measured.background.mean(axis=1) if measured.background.size else 0.0,
             "in_roi": _inside(positions, options.roi, frames.shape[1:]),
         }
@@ -278,12 +281,14 @@ def _kept_traces(traces: NDArray[np.float32], table: pd.DataFrame, window: int |
     )
 
 
-def _nearest(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _nearest(positions: NDArray[np.float64], spots: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Distance from each candidate to the nearest other one that is a spot."""
     from scipy.spatial import cKDTree
 
-    if len(positions) < 2:
+    if spots.sum() < 2:
         return np.full(len(positions), np.inf)
-    return np.asarray(cKDTree(positions).query(positions, k=2)[0][:, 1], dtype=float)
+    distance = cKDTree(positions[spots]).query(positions, k=2)[0]
+    return np.asarray(np.where(spots, distance[:, 1], distance[:, 0]), dtype=float)
 
 
 def _inside(positions: NDArray[np.float64], roi: Any, shape_px: tuple[int, int]) -> NDArray[np.bool_]:

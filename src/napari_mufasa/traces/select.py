@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LIT = 0.5  # a frame is lit where the idealised trace is above this share of the on level
+LEAST_PROMINENCE = 0.2  # of a peak in every direction; isolated spots have 0.3 … 0.7, edges 0.1 ± 0.06
 STEP = 0.3  # a drop counts as a bleaching step when it takes this share of the first level
 
 
@@ -152,6 +153,7 @@ def judge(table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_
     edge = np.minimum.reduce([y + 0.5, x + 0.5, shape[1] - 0.5 - y, shape[2] - 0.5 - x])
     reject(~table["in_roi"].to_numpy(dtype=bool), "outside the region of interest")
     reject(edge < rules.border_px, "border")
+    reject(column("prominence") < LEAST_PROMINENCE, "edge or line, no spot")
     near = column("neighbour_px")
     reject(near < rules.isolation_px, [f"neighbour at {d:.1f} px" for d in near])
     lit = column("lit_frames")
