@@ -1,4 +1,4 @@
-"""The base model's neighbourhood, simulated: its mean and spread, what nuisance values do, what effects do.
+"""Simulated neighbourhoods: where a model stands, what its free values do, what each effect would do.
 
 An effect enters as rays: simulations at a few strengths, shapes and forms, each minus the base simulation
 of the same seed. Along a ray the shift grows with strength. A ray that explains the residual is a lead; the
@@ -16,16 +16,27 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.bench import Bench, as_table
-from napari_mufasa.discover.metric import Profile, profile, shrunk_correlation, spread_floor, whitener
+from napari_mufasa.discover.metric import (
+    SOFT,
+    Profile,
+    profile,
+    shrunk_correlation,
+    spread_floor,
+    stretch,
+    whitener,
+)
 from napari_mufasa.effects import Effect, catalogue
 from napari_mufasa.model import Model
 from napari_mufasa.observe import PARTS
 
 Array = NDArray[np.float64]
 BASE_SIMULATIONS = 60
+CHECK_SIMULATIONS = 12  # fresh seeds that no mean, spread or correlation has seen
+CHECK_SEED = 5_000
+MATCHING_SEED = 10_000
 MATCHING_ROUNDS = 4
 SLOPE_SEEDS = 3
-RAYS = 5  # strengths of each effect, plus one for each shape parameter
+RAYS = 5  # settings of each effect, plus one for each shape parameter
 SCALES = (0.12, 0.25, 0.45, 0.7, 1.0, 1.4)
 
 
@@ -37,140 +48,173 @@ class Ray:
     shift: Array
 
 
-@dataclass
-class Library:
-    """Simulations of a model near a measurement.
+@dataclass(frozen=True)
+class Lead:
+    """The best ray of an effect: the fall of chi² it promises, and how far along."""
 
-    base (simulation, part, observable) · slopes (part, observable, nuisance) · rays by kind
+    gain: float
+    ray: Ray
+    scale: float
+
+    def start(self) -> Effect:
+        """The ray's effect at the strength the lead stands at, within hard limits."""
+        return scaled(self.ray.effect, self.scale)
+
+
+@dataclass(frozen=True)
+class State:
+    """A model with its effects, and what simulations of it show.
+
+    mean, spread (part, observable) · slopes (part, observable, free value), free values with prior widths: the
+    nuisance values first, then effect parameters · whiten (part, observable, observable) · check (simulation,
+    part, observable) simulations of fresh seeds
     """
 
-    bench: Bench
     model: Model
-    free: list[nuisance.Nuisance]
-    base: Array
+    mean: Array
+    spread: Array
     slopes: Array
-    rays: dict[str, list[Ray]]
-
-    def __post_init__(self) -> None:
-        floor = spread_floor(self.bench.names)
-        self.mean = self.base.mean(axis=0)
-        self.spread = np.maximum(self.base.std(axis=0, ddof=1), floor)
-        self.spread[1:] = np.maximum(self.spread[1:], 1.2 * floor)
-        self.whiten = [
-            whitener(shrunk_correlation((self.base[:, p] - self.mean[p]) / self.spread[p])) for p in range(len(PARTS))
-        ]
-        self.prior = np.array([n.prior for n in self.free])
+    prior: Array
+    whiten: Array
+    check: Array
+    free: tuple[str, ...]
 
     def profiled(self, x: Array, part: int = 0, whiten: Array | None = None) -> Profile:
-        """The measurement x (part, observable) against the base model, nuisance values moved."""
+        """The measurement x (part, observable) against this model, free values moved."""
         return profile(
             x[part], self.mean[part], self.spread[part], self.slopes[part], self.prior,
             self.whiten[part] if whiten is None else whiten,
         )  # fmt: skip
 
-    def screen(
-        self, x: Array, whiten: Array | None = None, kinds: Sequence[str] | None = None
-    ) -> dict[str, tuple[float, Ray, float]]:
-        """Per effect: the largest fall of chi² along any of its rays, that ray, and its scale."""
+    def held_out_error(self, x: Array) -> float:
+        """rms whitened residual of the held-out part, free values fitted on the fit part."""
+        fit, held = PARTS.index("fit"), PARTS.index("held_out")
+        moves = self.profiled(x, fit).moves
+        still = profile(
+            x[held], self.mean[held] + self.slopes[held] @ moves, self.spread[held],
+            np.zeros((x.shape[1], 0)), np.zeros(0), self.whiten[held], steps=0,
+        )  # fmt: skip
+        return float(np.sqrt(np.mean(still.residual**2)))
+
+    def floor(self) -> float:
+        """The held-out error that the model itself would score: its fresh simulations taken as measurements."""
+        return float(np.median([self.held_out_error(x) for x in self.check]))
+
+    def misfit(self, x: Array) -> float:
+        return self.profiled(x).chi2
+
+    def score(self, x: Array) -> float:
+        """−2 log likelihood, up to a constant all models share."""
+        return self.misfit(x) + 2 * float(np.log(self.spread[0]).sum())
+
+    def screen(self, x: Array, rays: dict[str, list[Ray]], whiten: Array | None = None) -> dict[str, Lead]:
+        """Per effect: the largest fall of chi² along any of its rays."""
         w = self.whiten[0] if whiten is None else whiten
         start = self.profiled(x, 0, w)
         spread = self.spread[0]
-        residual = start.residual
-        # Locally linear: nuisance directions are projected out of residual and rays alike.
-        weight = 1 / np.sqrt(1 + (np.sinh(np.clip(start.soft / 8.0, -20, 20))) ** 2)
-        slope = np.vstack([w @ (self.slopes[0] / spread[:, None] * weight[:, None]), np.diag(1 / self.prior)])
+        # Locally linear: directions of free values are projected out of residual and rays alike.
+        local = 1 / np.sqrt(1 + np.sinh(np.clip(start.soft / SOFT, -20, 20)) ** 2)
+        slope = np.vstack([w @ (self.slopes[0] / spread[:, None] * local[:, None]), np.diag(1 / self.prior)])
         q, _ = np.linalg.qr(slope)
-        full = np.concatenate([residual, -start.moves / self.prior])
-        found: dict[str, tuple[float, Ray, float]] = {}
-        for kind in self.rays if kinds is None else kinds:
-            best: tuple[float, Ray, float] | None = None
-            for ray in self.rays[kind]:
-                for scale in SCALES:
-                    bent = self._bent(start, ray.shift[0] * scale / spread)
-                    step = np.concatenate([w @ bent, np.zeros(len(self.prior))])
-                    rest = full - step
-                    rest = rest - q @ (q.T @ rest)
-                    gain = start.chi2 - float(rest @ rest)
-                    if best is None or gain > best[0]:
-                        best = (gain, ray, scale)
-            if best is not None:
-                found[kind] = best
+        full = np.concatenate([start.residual, -start.moves / self.prior])
+        raw = stretch(start.soft)
+        found: dict[str, Lead] = {}
+        for kind, candidates in rays.items():
+            for ray in candidates:
+                shifts = np.outer(SCALES, ray.shift[0] / spread)
+                taken = start.soft - SOFT * np.arcsinh((raw - shifts) / SOFT)
+                rest = full - np.pad(taken @ w.T, ((0, 0), (0, len(self.prior))))
+                rest -= (rest @ q) @ q.T
+                gains = start.chi2 - (rest**2).sum(axis=1)
+                i = int(np.argmax(gains))
+                if kind not in found or gains[i] > found[kind].gain:
+                    found[kind] = Lead(float(gains[i]), ray, SCALES[i])
         return found
 
-    @staticmethod
-    def _bent(start: Profile, shift: Array) -> Array:
-        """What a shift (in spreads) takes from the softened residual."""
-        raw = 8.0 * np.sinh(np.clip(start.soft / 8.0, -20, 20))
-        result: Array = start.soft - 8.0 * np.arcsinh((raw - shift) / 8.0)
-        return result
 
-    def calibrate(self, folds: int = 4) -> tuple[Array, Array]:
-        """Null values of the largest evidence and of the misfit: each base simulation taken as a measurement,
-        whitened without its own fold."""
+@dataclass(frozen=True)
+class Library:
+    """The base state, its paired simulations (simulation, part, observable), nuisance values and rays."""
+
+    bench: Bench
+    base: State
+    rows: Array
+    nuisances: list[nuisance.Nuisance]
+    rays: dict[str, list[Ray]]
+
+    def null_distribution(self, folds: int = 4) -> tuple[Array, Array]:
+        """Largest evidence and misfit of base simulations taken as measurements, each whitened without its fold."""
         evidence, misfit = [], []
-        index = np.arange(len(self.base))
+        index = np.arange(len(self.rows))
         for fold in range(folds):
             out = index % folds == fold
-            z = (self.base[~out, 0] - self.mean[0]) / self.spread[0]
-            w = whitener(shrunk_correlation(z))
-            for x in self.base[out]:
-                misfit.append(self.profiled(x, 0, w).chi2)
-                screened = self.screen(x, w)
-                evidence.append(max((v[0] for v in screened.values()), default=0.0))
+            w = whitener(shrunk_correlation((self.rows[~out, 0] - self.base.mean[0]) / self.base.spread[0]))
+            for x in self.rows[out]:
+                misfit.append(self.base.profiled(x, 0, w).chi2)
+                leads = self.base.screen(x, self.rays, w)
+                evidence.append(max((lead.gain for lead in leads.values()), default=0.0))
         return np.array(evidence), np.array(misfit)
 
 
 def matched(bench: Bench, model: Model) -> Model:
     """The model with its nuisance values brought near the measurement, by moments."""
     measured = as_table(bench.names, bench.measured.part("all"))
-    guess = max(1, round(measured["spots"] ** 2 * 1.15))
-    model = model.with_values({"sample.n_molecules": guess})
-    for round_ in range(MATCHING_ROUNDS):
-        rows = bench.rows([(model, 10_000 + 10 * round_ + k) for k in range(2)])
+    model = model.with_values({"sample.n_molecules": max(1, round(measured["spots"] ** 2 * 1.15))})
+    for turn in range(MATCHING_ROUNDS):
+        rows = bench.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
         model = nuisance.match(model, measured, as_table(bench.names, rows[:, 0].mean(axis=0)))
     return model
 
 
 def build(bench: Bench, model: Model, kinds: Sequence[str]) -> Library:
     """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect."""
-    free = nuisance.nuisances(model)
-    base = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
-    slopes = slopes_at(bench, model, free, base)
+    values = nuisance.nuisances(model)
+    rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
+    check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
+    slopes = _slopes(bench, model, values, rows)
+    mean = rows.mean(axis=0)
+    spread = np.maximum(rows.std(axis=0, ddof=1), spread_floor(bench.names))
+    whiten = np.stack([whitener(shrunk_correlation((rows[:, p] - mean[p]) / spread[p])) for p in range(len(PARTS))])
+    prior = np.array([n.prior for n in values])
+    base = State(model, mean, spread, slopes, prior, whiten, check, tuple(n.path for n in values))
+    return Library(bench, base, rows, values, _rays(bench, model, rows, kinds))
+
+
+def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict[str, list[Ray]]:
     jobs: list[tuple[Effect, int]] = []
     for kind in kinds:
-        effect = catalogue()[kind]
-        settings = ray_settings(effect, np.random.default_rng([bench.seed, sum(kind.encode())]))
+        settings = ray_settings(catalogue()[kind], np.random.default_rng([bench.seed, *kind.encode()]))
         jobs += [(setting, i % 8) for i, setting in enumerate(settings)]
-    rows = bench.rows([(model.with_effects(*model.effects, effect), number) for effect, number in jobs])
+    found = bench.rows([(model.with_effects(effect), number) for effect, number in jobs])
     rays: dict[str, list[Ray]] = {kind: [] for kind in kinds}
-    for (effect, number), row in zip(jobs, rows, strict=True):
-        rays[effect.kind].append(Ray(effect, row - base[number]))
-    return Library(bench, model, free, base, slopes, rays)
+    for (effect, number), row in zip(jobs, found, strict=True):
+        rays[effect.kind].append(Ray(effect, row - rows[number]))
+    return rays
 
 
-def slopes_at(bench: Bench, model: Model, free: list[nuisance.Nuisance], base: Array) -> Array:
+def _slopes(bench: Bench, model: Model, values: list[nuisance.Nuisance], base: Array) -> Array:
     """Derivatives of the observables (part, observable, nuisance), by differences of paired simulations."""
     jobs, steps = [], []
-    for j, value in enumerate(free):
-        sign = 1.0 if j % 2 else -1.0
-        by = np.zeros(len(free))
-        by[j] = sign * value.step
-        moved = nuisance.apply(model, free, by)
-        jobs += [(moved, k) for k in range(SLOPE_SEEDS)]
-        steps.append(sign * value.step)
-    rows = bench.rows(jobs).reshape(len(free), SLOPE_SEEDS, *base.shape[1:])
-    change = (rows - base[:SLOPE_SEEDS]).mean(axis=1)
-    return np.moveaxis(change / np.array(steps)[:, None, None], 0, -1)
+    for j, value in enumerate(values):
+        step = value.step if j % 2 else -value.step
+        by = np.zeros(len(values))
+        by[j] = step
+        jobs += [(nuisance.apply(model, values, by), k) for k in range(SLOPE_SEEDS)]
+        steps.append(step)
+    rows = bench.rows(jobs).reshape(len(values), SLOPE_SEEDS, *base.shape[1:])
+    change = rows - base[:SLOPE_SEEDS]
+    mean, error = change.mean(axis=1), change.std(axis=1, ddof=1) / np.sqrt(SLOPE_SEEDS)
+    # A derivative no larger than its own error is noise: it is drawn towards zero.
+    certain = np.clip(1 - 2 * error**2 / np.maximum(mean**2, 1e-300), 0.0, 1.0)
+    return np.moveaxis(mean * certain / np.array(steps)[:, None, None], 0, -1)
 
 
 def ray_settings(effect: type[Effect], rng: np.random.Generator) -> list[Effect]:
     """Settings that span an effect's plausible range: strengths spread evenly, shapes at random, forms in turn."""
-    ranges = effect.plausible()
-    choices = choice_fields(effect)
+    ranges, choices = effect.plausible(), choice_fields(effect)
     n = RAYS + len(ranges) - 1
-    strengths = (np.arange(n) + 0.5) / n
     found = []
-    for i, u in enumerate(rng.permutation(strengths)):
+    for i, u in enumerate(rng.permutation((np.arange(n) + 0.5) / n)):
         values: dict[str, Any] = {}
         for name, (low, high, log) in ranges.items():
             share = u if name == effect.strength else rng.random()
@@ -183,14 +227,31 @@ def ray_settings(effect: type[Effect], rng: np.random.Generator) -> list[Effect]
 
 def choice_fields(effect: type[Effect]) -> dict[str, tuple[str, ...]]:
     """Fields with named options: the form, and others like it."""
-    return {
-        name: tuple(getattr(field.annotation, "__args__", ()))
-        for name, field in effect.model_fields.items()
-        if getattr(field.annotation, "__args__", ())
-    }
+    fields = {name: getattr(field.annotation, "__args__", ()) for name, field in effect.model_fields.items()}
+    return {name: tuple(options) for name, options in fields.items() if options}
+
+
+def scaled(effect: Effect, scale: float) -> Effect:
+    """The effect with its strength moved to `scale` of the way from none."""
+    name, null = effect.strength, effect.null_value
+    return changed(effect, {name: null + (float(getattr(effect, name)) - null) * scale})
+
+
+def changed(effect: Effect, values: dict[str, float]) -> Effect:
+    """The effect with parameters changed, kept within their hard limits."""
+    data = effect.model_dump(exclude={"kind"})
+    data.pop("kind", None)
+    for name, value in values.items():
+        for limit in type(effect).model_fields[name].metadata:
+            low = getattr(limit, "ge", getattr(limit, "gt", None))
+            high = getattr(limit, "le", None)
+            value = value if low is None else max(value, float(low) + (1e-9 if hasattr(limit, "gt") else 0.0))
+            value = value if high is None else min(value, float(high))
+        data[name] = value
+    return type(effect)(**data)
 
 
 def expected_simulations(kinds: Sequence[str], n_free: int) -> int:
     """How many simulations `matched` and `build` make."""
     rays = sum(RAYS + len(catalogue()[k].plausible()) - 1 for k in kinds)
-    return 2 * MATCHING_ROUNDS + BASE_SIMULATIONS + SLOPE_SEEDS * n_free + rays
+    return 2 * MATCHING_ROUNDS + BASE_SIMULATIONS + CHECK_SIMULATIONS + SLOPE_SEEDS * n_free + rays

@@ -1,0 +1,273 @@
+"""The conversation: look where the model fails, ask what is missing, add it, see the error fall.
+
+`diagnose` plays it alone; the viewer and `refine` let a user play it by hand. Both see the measurement only
+through `Bench`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.discover import fit, library
+from napari_mufasa.discover.bench import Bench
+from napari_mufasa.discover.fit import Fit
+from napari_mufasa.discover.library import Lead, Library, State
+from napari_mufasa.discover.measurement import prepare
+from napari_mufasa.discover.nuisance import nuisances
+from napari_mufasa.discover.null import Null
+from napari_mufasa.discover.result import Candidate, Report, Verdict
+from napari_mufasa.effects import Effect, catalogue, effect_class
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.model import Model
+
+Array = NDArray[np.float64]
+ALARM = 0.03  # false alarms wanted on an adequate model, evidence and misfit together about 5 %
+MISFIT_ALARM = 0.01
+SECOND = 0.01  # stricter for every further effect
+FINALISTS = 5  # leads that are fitted by direct simulation
+NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
+
+
+class Investigation:
+    """One measurement, one believed model, and the steps taken so far.
+
+    Parameters
+    ----------
+    movie : (frame, y, x) counts (ADU), array or lazy array
+    model : the model believed; its shape and length are taken from the movie
+    dark : (frame, y, x) dark frames or None
+    seed : the same seed gives the same answer
+    effects : kinds to consider; None: the whole catalogue that suits the camera
+    progress, cancel : see `simulate`
+
+    Memory: the (cropped) movie and one simulated movie per core. Raises `MufasaError` on unusable input.
+    """
+
+    def __init__(
+        self,
+        movie: Any,
+        model: Model,
+        dark: Any = None,
+        *,
+        seed: int = 1,
+        effects: Sequence[str] | None = None,
+        progress: Callable[[int, int], None] | None = None,
+        cancel: Callable[[], bool] | None = None,
+    ) -> None:
+        self._started = time.monotonic()
+        self.seed = seed
+        self.believed = model
+        self.measurement = prepare(movie, model, dark)
+        known = {effect.kind for effect in model.effects}
+        wanted = catalogue() if effects is None else {kind: _known(kind) for kind in effects}
+        self.kinds = [k for k, effect in wanted.items() if effect.suits(model) and k not in known]
+        self.bench = Bench(self.measurement, seed, progress, cancel)
+        if self.bench.measured.spots.inside.sum() < 3:
+            raise MufasaError(
+                "fewer than three molecules were found in the movie: check psf_fwhm_nm, pixel_size_nm and baseline_adu "
+                "in the model, or take a brighter region"
+            )
+        self._library: Library | None = None
+        self._null: Null | None = None
+        self._fits: list[Fit] = []
+        self._ranking: list[Candidate] = []
+        self._tried: dict[str, Fit] = {}
+
+    # What is known ------------------------------------------------------------------------------------------
+
+    @property
+    def library(self) -> Library:
+        if self._library is None:
+            self.examine()
+        assert self._library is not None
+        return self._library
+
+    @property
+    def null(self) -> Null:
+        if self._null is None:
+            self._null = Null.of(*self.library.null_distribution())
+        return self._null
+
+    @property
+    def state(self) -> State:
+        """The model as it stands: the base, or the last fit."""
+        return self._fits[-1].state if self._fits else self.library.base
+
+    @property
+    def x(self) -> Array:
+        return self.bench.measured.values
+
+    @property
+    def chosen(self) -> list[str]:
+        return [f.effect.kind for f in self._fits]
+
+    # Steps --------------------------------------------------------------------------------------------------
+
+    def examine(self) -> None:
+        """Fit the nuisance values, simulate the neighbourhood of the model and of every effect."""
+        start = self.measurement.model
+        simulations = library.expected_simulations(self.kinds, len(nuisances(start)))
+        self.bench.plan(simulations + FINALISTS * fit.planned_simulations())
+        self._library = library.build(self.bench, library.matched(self.bench, start), self.kinds)
+
+    def leads(self) -> dict[str, Lead]:
+        """What every effect not yet in the model promises, by the emulator."""
+        rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in self.chosen}
+        return self.state.screen(self.x, rays)
+
+    def alarmed(self) -> bool:
+        """Is the model inadequate beyond chance?"""
+        lead = max((lead.gain for lead in self.leads().values()), default=0.0)
+        if self._fits:
+            return self.null.p_evidence(lead) < SECOND
+        return self.null.p_evidence(lead) < ALARM or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
+
+    def rank(self) -> list[Candidate]:
+        """What is missing: the leads, the best of them fitted by direct simulation, best first."""
+        leads = dict(sorted(self.leads().items(), key=lambda item: -item[1].gain))
+        finalists = _finalists(leads)
+        self.bench.plan(len(finalists) * fit.planned_simulations())
+        self._tried = {kind: fit.refine(self.library, self.state, leads[kind].start(), self.x) for kind in finalists}
+        before, floor = self.state.held_out_error(self.x), self.state.floor()
+        base_score = self.state.score(self.x)
+        fitted = sorted(self._tried.items(), key=lambda item: item[1].score)
+        self._ranking = []
+        for kind, found in fitted:
+            near = tuple(k for k, other in fitted if k != kind and abs(other.score - found.score) < NEAR)
+            after = found.state.held_out_error(self.x)
+            gain = max(base_score - found.score, 0.0)
+            self._ranking.append(
+                Candidate(
+                    kind, self.null.p_evidence(gain), gain, after, _share(before, after, floor),
+                    _parameters(found.effect), found.sd, near,
+                )
+            )  # fmt: skip
+        for kind, lead in leads.items():
+            if kind not in self._tried:
+                p = self.null.p_evidence(lead.gain)
+                self._ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, _parameters(lead.start()), {}))
+        return self._ranking
+
+    def add(self, what: str | Effect | Candidate) -> None:
+        """Fit an effect into the model as it stands, and keep it."""
+        kind = what if isinstance(what, str) else what.effect if isinstance(what, Candidate) else what.kind
+        _known(kind)
+        if kind in self.chosen:
+            raise MufasaError(f"{kind} is already in the model: undo it first, or add another effect")
+        if kind in self._tried and not isinstance(what, Effect):
+            found = self._tried[kind]
+        else:
+            found = fit.refine(self.library, self.state, self._start(what, kind), self.x)
+        self._fits.append(found)
+        self._tried = {}
+
+    def undo(self) -> None:
+        """Take the last effect out again."""
+        if not self._fits:
+            raise MufasaError("nothing to undo: no effect was added")
+        self._fits.pop()
+        self._tried = {}
+
+    def report(self, verdict: Verdict | None = None) -> Report:
+        """What has been found so far."""
+        from napari_mufasa.discover.reporting import compile_report
+
+        return compile_report(self, verdict)
+
+    # Inside -------------------------------------------------------------------------------------------------
+
+    def _start(self, what: str | Effect | Candidate, kind: str) -> Effect:
+        if isinstance(what, Effect):
+            return what
+        leads = self.leads()
+        if kind not in leads:
+            raise MufasaError(f"{kind} was left out of this investigation: name it in `effects`")
+        return leads[kind].start()
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self._started
+
+
+def diagnose(
+    movie: Any,
+    model: Model,
+    dark: Any = None,
+    *,
+    seed: int = 1,
+    effects: Sequence[str] | None = None,
+    max_effects: int = 3,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Report:
+    """Find what a model lacks to explain a movie (SPEC.md §9, §10).
+
+    Effects are added one at a time while the evidence is beyond chance and the held-out error falls, at most
+    `max_effects`. Parameters as in `Investigation`. Returns a `Report`.
+    """
+    inquiry = Investigation(movie, model, dark, seed=seed, effects=effects, progress=progress, cancel=cancel)
+    inquiry.examine()
+    first_ranking: list[Candidate] | None = None
+    while len(inquiry.chosen) < max_effects and inquiry.alarmed():
+        ranking = inquiry.rank()
+        if first_ranking is None:
+            first_ranking = ranking
+        best = ranking[0]
+        if best.error_after is None or not _helps(inquiry, best):
+            break
+        inquiry.add(best)
+    if first_ranking is not None:
+        inquiry._ranking = first_ranking
+    return inquiry.report()
+
+
+def refine(
+    movie: Any,
+    model: Model,
+    add: Sequence[str | Effect],
+    dark: Any = None,
+    *,
+    seed: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Report:
+    """The same loop by hand: fit the effects the user names, in order, and report the error (SPEC.md §10)."""
+    kinds = [a if isinstance(a, str) else a.kind for a in add]
+    inquiry = Investigation(movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel)
+    for effect in add:
+        inquiry.add(effect)
+    return inquiry.report()
+
+
+def _helps(inquiry: Investigation, best: Candidate) -> bool:
+    """Does adding it lower the held-out error and pass the (stricter) threshold?"""
+    before = inquiry.state.held_out_error(inquiry.x)
+    falls = best.error_after is not None and best.error_after < before * (0.99 if not inquiry.chosen else 0.97)
+    return falls and best.p_value < (ALARM if not inquiry.chosen else SECOND)
+
+
+def _finalists(leads: dict[str, Lead]) -> list[str]:
+    """The leads worth a fit: the best few, fewer where the first is far ahead."""
+    order = list(leads)
+    best = max(leads[order[0]].gain, 1.0) if order else 1.0
+    return [k for i, k in enumerate(order[:FINALISTS]) if i < 2 or leads[k].gain > 0.25 * best]
+
+
+def _share(before: float, after: float, floor: float) -> float:
+    return float(np.clip((before - after) / max(before - floor, 1e-9), 0.0, 1.0))
+
+
+def _known(kind: str) -> type[Effect]:
+    try:
+        return effect_class(kind)
+    except ValueError as error:
+        raise MufasaError(str(error)) from None
+
+
+def _parameters(effect: Effect) -> dict[str, Any]:
+    return {name: value for name, value in effect.model_dump().items() if name != "kind"}

@@ -1,0 +1,148 @@
+"""From an investigation to a report: verdict, errors, tables and curves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from napari_mufasa.discover.curves import draw
+from napari_mufasa.discover.library import SCALES, State, scaled
+from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
+from napari_mufasa.model import Model
+
+if TYPE_CHECKING:
+    from napari_mufasa.discover.investigation import Investigation
+
+OFF = 3.0  # an observable further off than so many standard deviations is called failing
+EXPLAINED = 0.6  # share of the removable error that an explanation must remove
+STILL_OFF = 0.001  # chance level of the misfit left under an explanation
+CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
+
+
+def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Report:
+    """Everything a report holds, from the investigation as it stands."""
+    library, x = inquiry.library, inquiry.x
+    states = [library.base, *(f.state for f in inquiry._fits)]
+    final = states[-1]
+    # Every model of the history is judged with the final model's spread, so that the errors compare.
+    errors = [_as_seen_by(state, final).held_out_error(x) for state in states]
+    floor = final.floor()
+    history: list[dict[str, Any]] = [{"model": "base", "error": errors[0]}]
+    history += [{"added": kind, "error": error} for kind, error in zip(inquiry.chosen, errors[1:], strict=True)]
+    table = _table(inquiry, final)
+    numbers = range(CURVE_SEED, CURVE_SEED + CURVE_SIMULATIONS)
+    before = inquiry.bench.observations([(library.base.model, k) for k in numbers])
+    after = inquiry.bench.observations([(final.model, k) for k in numbers]) if inquiry.chosen else before
+    interval = inquiry.believed.acquisition.interval_s
+    verdict = verdict or judge(inquiry, errors, floor)
+    return Report(
+        verdict=verdict,
+        error={"before": errors[0], "after": errors[-1], "floor": floor, "unit": ERROR_UNIT},
+        failing=_failing(table),
+        ranking=list(inquiry._ranking),
+        chosen=inquiry.chosen,
+        history=history,
+        model=_restored(final.model, inquiry.believed),
+        base=_restored(library.base.model, inquiry.believed),
+        observables=table,
+        curves=draw(inquiry.bench.measured, before, after, interval),
+        seconds=inquiry.seconds,
+        seed=inquiry.seed,
+        detectable=detectable(inquiry) if verdict == "adequate" else {},
+        notes=[*inquiry.measurement.notes, *_notes(inquiry, verdict, table)],
+    )
+
+
+def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
+    """adequate, missing_effect or unexplained (DISCOVERY.md, decision rules)."""
+    if not inquiry.chosen:
+        return "unexplained" if inquiry.alarmed() else "adequate"
+    share = (errors[0] - errors[-1]) / max(errors[0] - floor, 1e-9)
+    left = inquiry.null.p_misfit(inquiry.state.misfit(inquiry.x))
+    return "unexplained" if left < STILL_OFF and share < EXPLAINED else "missing_effect"
+
+
+def detectable(inquiry: Investigation) -> dict[str, float | None]:
+    """The smallest strength of each effect that this data would have shown with 80 % power, by the emulator."""
+    state, null = inquiry.library.base, inquiry.null
+    threshold = null.evidence_at(0.03)
+    w, spread = state.whiten[0], state.spread[0]
+    slope = np.vstack([w @ (state.slopes[0] / spread[:, None]), np.diag(1 / state.prior)])
+    q, _ = np.linalg.qr(slope)
+    found: dict[str, float | None] = {}
+    for kind, rays in inquiry.library.rays.items():
+        strengths = []
+        for ray in rays:
+            for scale in sorted({*SCALES, 0.03, 0.06}):
+                step = np.pad(w @ (8.0 * np.arcsinh(ray.shift[0] * scale / spread / 8.0)), (0, len(state.prior)))
+                power = float(((step - q @ (q.T @ step)) ** 2).sum())
+                if power - 0.84 * 2 * np.sqrt(power) > threshold:
+                    strengths.append(abs(float(getattr(scaled(ray.effect, scale), ray.effect.strength))))
+                    break
+        found[kind] = float(np.median(strengths)) if len(strengths) > len(rays) / 2 else None
+    return found
+
+
+def _as_seen_by(state: State, judge_state: State) -> State:
+    from dataclasses import replace
+
+    return replace(state, spread=judge_state.spread)
+
+
+def _table(inquiry: Investigation, final: State) -> pd.DataFrame:
+    """One row per observable: measured, models, z-scores, free values at their best."""
+    measured, base = inquiry.bench.measured, inquiry.library.base
+    rows = []
+    means, scores = [], []
+    for state in (base, final):
+        moves = state.profiled(inquiry.x).moves
+        mean = state.mean[0] + state.slopes[0] @ moves
+        means.append(mean)
+        scores.append((inquiry.x[0] - mean) / state.spread[0])
+    for i, name in enumerate(measured.names):
+        meaning = measured.meanings[name]
+        rows.append(
+            {
+                "observable": name, "title": meaning.title, "unit": meaning.unit, "where": meaning.where,
+                "measured": inquiry.x[0, i], "sd": base.spread[0, i], "before": means[0][i], "after": means[1][i],
+                "z_before": scores[0][i], "z_after": scores[1][i],
+            }
+        )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _failing(table: pd.DataFrame) -> list[dict[str, Any]]:
+    off = table[table.z_before.abs() > OFF].sort_values("z_before", key=np.abs, ascending=False)
+    return [
+        {
+            "observable": row.observable, "title": row.title, "unit": row.unit, "z": float(row.z_before),
+            "z_after": float(row.z_after), "where": row["where"],
+        }
+        for _, row in off.iterrows()
+    ]  # fmt: skip
+
+
+def _restored(model: Model, believed: Model) -> Model:
+    """The model in the user's own form: the measurement's crop undone, density per area kept."""
+    area = np.prod(believed.acquisition.shape_px) / np.prod(model.acquisition.shape_px)
+    sample = believed.sample.model_copy(update={"n_molecules": max(1, round(model.sample.n_molecules * float(area)))})
+    maps = {n: getattr(believed.camera, n) for n in ("offset_map_adu", "gain_map", "variance_map_e2")}
+    camera = model.camera.model_copy(update=maps)
+    return model.model_copy(update={"acquisition": believed.acquisition, "sample": sample, "camera": camera})
+
+
+def _notes(inquiry: Investigation, verdict: Verdict, table: pd.DataFrame) -> list[str]:
+    notes = []
+    if inquiry.measurement.dark is None:
+        notes.append("No dark frames were given: offset, read noise and clock-induced charge rest on the model.")
+    left = table[table.z_after.abs() > OFF]
+    if inquiry.chosen and len(left):
+        worst = left.sort_values("z_after", key=np.abs, ascending=False).title.head(4)
+        notes.append(f"Still off after the additions: {'; '.join(worst)}.")
+    if verdict == "unexplained" and inquiry._ranking:
+        notes.append(
+            f"No effect in the catalogue explains this. The nearest resemblance is {inquiry._ranking[0].effect}."
+        )
+    return notes
