@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from napari_mufasa import plotting
 from napari_mufasa.wording import chosen_candidates, effect_title
 
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_mufasa.compare import Comparison
-    from napari_mufasa.discover.result import Candidate, Report
+    from napari_mufasa.discover.result import Candidate, Curve, Report
     from napari_mufasa.model import Model
 
 MOST_CURVES = 6
@@ -56,7 +58,7 @@ def diagnosis_drawings(report: Report, traces: NDArray[Any] | None = None) -> li
         ),
     ]  # fmt: skip
     if report.curves:
-        shown = report.curves[:MOST_CURVES]
+        shown = telling_curves(report)[:MOST_CURVES]
         height = 0.5 + 2.2 * -(-len(shown) // 2)
         made.insert(2, Drawing(
             "curves", "Measured, base model and completed model; bands are ± 2 sd.", (6.4, height),
@@ -84,6 +86,20 @@ def _strengths(candidate: Candidate) -> Drawing:
         (6.4, 0.4 + 0.75 * plotting.count_strengths(candidate)),
         lambda f: plotting.strengths(f, candidate),
     )  # fmt: skip
+
+
+def telling_curves(report: Report) -> list[Curve]:
+    """The curves in the order of what they show: those the added effects move first, then the farthest off."""
+    from napari_mufasa.effects import catalogue
+
+    known = catalogue()
+    moved = {name for kind in report.chosen if kind in known for name in known[kind].observables}
+
+    def rank(curve: Curve) -> tuple[bool, float]:
+        spread = np.maximum(curve.before_sd, 0.02 * (np.ptp(curve.measured) + 1e-12))
+        return curve.name not in moved, -float(np.sqrt(np.mean(((curve.measured - curve.before) / spread) ** 2)))
+
+    return sorted(report.curves, key=rank)
 
 
 def comparison_drawings(comparison: Comparison) -> list[Drawing]:
@@ -114,8 +130,6 @@ def movie_drawing(name: str, movie: NDArray[Any], unit: str) -> Drawing:
 
 def mean_image(movie: Any, most_frames: int = 200) -> NDArray[Any]:
     """The time mean (y, x) of frames spread over the movie."""
-    import numpy as np
-
     frames = np.unique(np.linspace(0, movie.shape[0] - 1, min(most_frames, movie.shape[0])).astype(int))
     total = np.zeros(movie.shape[1:])
     for frame in frames:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +15,7 @@ from napari_mufasa.cli.making import ModelFile, Seed
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
+    from napari_mufasa.calibrate import Value
     from napari_mufasa.figures import Drawing
 
 MovieFile = Annotated[Path, typer.Argument(metavar="MOVIE", help="TIFF, OME-TIFF or zarr, (frame, y, x).")]
@@ -115,9 +117,7 @@ def compare(
     model: ModelFile,
     out: OutFolder,
     movie: Annotated[Path | None, typer.Argument(metavar="[MOVIE]", help="A movie, or --traces instead.")] = None,
-    traces: Annotated[
-        Path | None, typer.Option("--traces", metavar="FILE", help="traces.csv, or a TIFF (frame, molecule) in ADU.")
-    ] = None,
+    traces: Annotated[Path | None, typer.Option("--traces", metavar="FILE", help="CSV, TIFF, HDF5 or .traces.")] = None,
     dark: DarkFile = None,
     unit: Annotated[UnitName | None, typer.Option("--unit", help="Of the traces; default: as the file says.")] = None,
     profile: Annotated[
@@ -152,7 +152,7 @@ def compare(
         if dark is not None:
             raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
         values, found_unit = trace_files.read_traces(traces or Path())
-        raw = found_unit == "adu"
+        raw = found_unit == "adu" and (traces or Path()).suffix.lower() in (".tif", ".tiff")
         with console.working("comparing") as work:
             result = comparing.compare_traces(
                 values, believed, unit=unit.value if unit else found_unit,
@@ -192,19 +192,28 @@ def calibrate(
             source.data, background, camera_type=camera_type.value, em_gain=em_gain,
             electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, **work.both(),
         )  # fmt: skip
-    io.write_json(out, found.camera.model_dump(mode="json"))
+    section = found.camera.model_dump(mode="json", exclude_none=True)
+    if found.camera.type != "CMOS":
+        section.pop("cmos_gain_curve")
+    io.write_json(out, section)
     console.print_table(
         ("measured", "value ± sd"),
         [
-            ("baseline (ADU)", found.baseline_adu),
-            ("read noise (ADU)", found.read_noise_adu),
-            ("ADU per photoelectron", found.adu_per_photoelectron),
-            ("clock-induced charge (e/px/frame)", found.clock_induced_charge_e),
+            ("baseline (ADU)", _measured(found.baseline_adu)),
+            ("read noise (ADU)", _measured(found.read_noise_adu)),
+            ("ADU per photoelectron", _measured(found.adu_per_photoelectron)),
+            ("clock-induced charge (e/px/frame)", _measured(found.clock_induced_charge_e)),
         ],
     )
     for note in found.notes:
         typer.echo(f"note: {note}")
     typer.echo(f"{out}: the camera part of a model.json")
+
+
+def _measured(found: Value) -> str:
+    if not math.isfinite(found.value):
+        return "unknown"
+    return str(found) if math.isfinite(found.sd) else f"{found.value:.4g} (given)"
 
 
 def _write_figures(folder: Path, drawings: Sequence[Drawing]) -> None:

@@ -1,0 +1,425 @@
+"""The command line: options as in SPEC.md §10, outputs that agree with the library, and how it fails."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import typer
+from tests.report_example import MODEL, report
+
+import napari_mufasa as nm
+from napari_mufasa import io
+from napari_mufasa.cli import main
+from napari_mufasa.cli.app import app, spread_lists
+from napari_mufasa.model import Model
+
+VERBS = {
+    "demo": {"--out", "--viewer", "--seed"},
+    "simulate": {
+        "--preset", "--model", "--out", "--n-molecules", "--frames", "--shape", "--positions", "--effect", "--engine",
+        "--seed",
+    },
+    "denoise": {"--model", "--out", "--method"},
+    "traces": {"--model", "--dark", "--window", "--best", "--out"},
+    "compare": {"--traces", "--model", "--dark", "--out"},
+    "diagnose": {"--model", "--dark", "--out", "--seed"},
+    "refine": {"--model", "--add", "--out"},
+    "calibrate": {"--dark", "--out"},
+    "design": {"--model"},
+    "presets": set(),
+}  # fmt: skip
+
+
+@pytest.fixture
+def cli(capfd):
+    """Run a command; returns (exit code, stdout, stderr)."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return int(left.value.code or 0), out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory) -> Path:
+    """The model of SPEC.md §10, smaller and with molecules apart."""
+    data = json.loads(json.dumps(MODEL))
+    data["acquisition"] |= {"n_frames": 120, "shape_px": [48, 48]}
+    data["sample"] = {"n_molecules": 12, "min_distance_px": 9}
+    path = tmp_path_factory.mktemp("model") / "model.json"
+    Model.from_dict(data).to_json(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def movie_file(model_file) -> Path:
+    path = model_file.with_name("movie.ome.tif")
+    with pytest.raises(SystemExit) as left:
+        main(["simulate", "--model", str(model_file), "--out", str(path), "--seed", "3"])
+    assert not left.value.code
+    return path
+
+
+def leftovers(directory: Path) -> list[str]:
+    return sorted(path.name for path in directory.iterdir())
+
+
+# --- what there is -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_the_options_of_the_contract(verb):
+    command = typer.main.get_command(app).commands[verb]  # type: ignore[attr-defined]
+    options = {name for parameter in command.params for name in parameter.opts}
+    assert VERBS[verb] <= options
+
+
+def test_help_is_fast_because_it_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom napari_mufasa.cli import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as e:\n    assert not e.code, e.code\n"
+        "heavy = {'numpy', 'pandas', 'pydantic', 'matplotlib', 'numba', 'scipy', 'napari', 'dask', 'tifffile', 'ot'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    assert all(verb in ran.stdout for verb in VERBS)
+
+
+def test_python_m_is_the_same_command():
+    ran = subprocess.run([sys.executable, "-m", "napari_mufasa", "--version"], capture_output=True, text=True)
+    assert ran.stdout.strip() == f"napari-mufasa {nm.__version__}"
+
+
+def test_presets_print_models_that_read_back(cli, tmp_path):
+    code, out, _ = cli("presets")
+    assert code == 0 and all(name in out for name in ("PALM", "STORM", "FF", "Blinking", "EGFP", "Alexa647-STORM"))
+    code, out, _ = cli("presets", "FF")
+    (tmp_path / "ff.json").write_text(out)
+    assert Model.from_json(tmp_path / "ff.json") == nm.preset("FF")
+
+
+# --- simulate ----------------------------------------------------------------------------------------------
+
+
+def test_the_movie_is_the_librarys_and_carries_model_and_seed(movie_file, model_file):
+    movie = io.read_movie(movie_file)
+    model = Model.from_json(model_file)
+    assert (movie.model, movie.seed) == (model, 3)
+    np.testing.assert_array_equal(np.asarray(movie.data), nm.simulate(model, seed=3).movie)
+
+
+def test_zarr_holds_the_same_movie(cli, movie_file, model_file, tmp_path):
+    assert cli("simulate", "--model", model_file, "--out", tmp_path / "m.zarr", "--seed", 3)[0] == 0
+    np.testing.assert_array_equal(io.load(tmp_path / "m.zarr"), io.load(movie_file))
+    assert io.read_movie(tmp_path / "m.zarr").model == Model.from_json(model_file)
+
+
+def test_options_change_the_model_in_the_metadata(cli, tmp_path):
+    code, _, err = cli(
+        "simulate", "--preset", "FF", "--out", tmp_path / "m.tif", "--frames", 7, "--shape", 20, 30, "--n-molecules", 4,
+        "--effect", "stage_drift:distance_px=2.5,form=saturating", "--effect", "row_noise", "--engine", "exact",
+    )  # fmt: skip
+    assert (code, err) == (0, "")  # nothing on stderr when piped: no progress bar
+    model = io.read_movie(tmp_path / "m.tif").model
+    assert model.acquisition.n_frames == 7 and model.acquisition.shape_px == (20, 30)
+    assert model.sample.n_molecules == 4
+    drift, rows = model.effects
+    assert (drift.kind, drift.distance_px, drift.form, rows.kind) == ("stage_drift", 2.5, "saturating", "row_noise")
+    assert io.load(tmp_path / "m.tif").shape == (7, 20, 30)
+
+
+def test_truth_is_what_was_simulated(cli, model_file, tmp_path):
+    from napari_mufasa.simulation import Acquisition
+
+    cli("simulate", "--model", model_file, "--out", tmp_path / "m.tif", "--truth", tmp_path / "truth", "--seed", 5)
+    acquisition = Acquisition(Model.from_json(model_file), seed=5)
+    rows = pd.read_csv(tmp_path / "truth" / "emission.csv")
+    emission = np.zeros_like(acquisition.emission)
+    emission[rows["molecule"], rows["frame"]] = rows["photons"]
+    np.testing.assert_array_equal(emission, acquisition.emission)
+    positions = pd.read_csv(tmp_path / "truth" / "positions.csv")
+    np.testing.assert_allclose(positions[["y_px", "x_px"]], acquisition.scene.positions_px)
+
+
+def test_positions_come_from_a_table_in_nm(cli, model_file, tmp_path):
+    (tmp_path / "p.csv").write_text("x_nm,y_nm\n1050,2050\n3050,1050\n")
+    cli("simulate", "--model", model_file, "--positions", tmp_path / "p.csv", "--out", tmp_path / "m.tif",
+        "--truth", tmp_path / "t")  # fmt: skip
+    positions = pd.read_csv(tmp_path / "t" / "positions.csv")
+    np.testing.assert_allclose(positions[["y_px", "x_px"]], [[20, 10], [10, 30]])  # centres of those pixels
+    assert io.read_movie(tmp_path / "m.tif").model.sample.n_molecules == 2
+
+
+# --- denoise, traces, compare, calibrate, design -------------------------------------------------------------
+
+
+def test_denoised_photons_are_unbiased_and_nearer_to_the_light(cli, movie_file, model_file, tmp_path, monkeypatch):
+    from napari_mufasa.cli import measuring
+
+    assert cli("denoise", movie_file, "--model", model_file, "--out", tmp_path / "d.tif")[0] == 0
+    photons = io.load(tmp_path / "d.tif")
+    model = Model.from_json(model_file)
+    truth = nm.simulate(model, seed=3).optical
+    raw = nm.denoise(io.load(movie_file), model.camera, method="none")
+    assert photons.dtype == np.float32 and photons.shape == truth.shape
+    assert np.mean((photons - truth) ** 2) < 0.2 * np.mean((raw - truth) ** 2)
+    # 276 480 pixels with a sd of about 5 photons: the mean is known to 0.01; five of them.
+    assert photons.mean() == pytest.approx(truth.mean(), abs=0.05)
+
+    monkeypatch.setattr(measuring, "IN_MEMORY_BYTES", 0)  # a movie too large for memory goes through a file
+    assert cli("denoise", movie_file, "--model", model_file, "--out", tmp_path / "d.zarr")[0] == 0
+    np.testing.assert_array_equal(io.load(tmp_path / "d.zarr"), photons)
+    assert leftovers(tmp_path) == ["d.tif", "d.zarr"]
+
+
+def test_traces_are_tables_whose_level_is_the_designs(cli, movie_file, model_file, tmp_path):
+    from napari_mufasa.design import predict
+
+    code, out, _ = cli("traces", movie_file, "--model", model_file, "--out", tmp_path / "t")
+    assert code == 0 and "molecules kept" in out
+    traces, molecules = pd.read_csv(tmp_path / "t/traces.csv"), pd.read_csv(tmp_path / "t/molecules.csv")
+    assert list(traces.columns) == ["molecule", "frame", "photoelectrons"]
+    assert {"molecule", "y_px", "x_px", "kept", "reason"} <= set(molecules.columns)
+    assert set(traces["molecule"]) == set(molecules["molecule"][molecules["kept"]]) and molecules["kept"].sum() >= 5
+    assert traces.groupby("molecule")["frame"].apply(list).map(lambda f: f == list(range(120))).all()
+    # Five or more traces of 120 frames with SNR 4: the mean level is known to 1 %; the rest is the PSF fit.
+    level = traces["photoelectrons"].mean()
+    assert level == pytest.approx(predict(Model.from_json(model_file)).detected_e_per_frame, rel=0.06)
+    assert {"traces.png", "molecules.png"} <= set(leftovers(tmp_path / "t"))
+
+
+def test_window_and_best_cut_the_traces(cli, model_file, tmp_path):
+    from napari_mufasa import trace_files
+
+    bleaching = Model.from_json(model_file).with_values({"fluorophore.cycles_before_bleaching": 8e4})
+    bleaching.to_json(tmp_path / "b.json")
+    cli("simulate", "--model", tmp_path / "b.json", "--frames", 300, "--out", tmp_path / "m.tif", "--seed", 1)
+    code, _, _ = cli("traces", tmp_path / "m.tif", "--model", tmp_path / "b.json", "--window", 20, "--best", 3,
+                     "--out", tmp_path / "t")  # fmt: skip
+    assert code == 0
+    values, unit = trace_files.read_traces(tmp_path / "t/traces.csv")
+    assert values.shape == (3, 20) and unit == "photoelectrons"
+    table = pd.read_csv(tmp_path / "t/traces.csv")
+    molecules = pd.read_csv(tmp_path / "t/molecules.csv").set_index("molecule")
+    first = table.groupby("molecule")["frame"].min()
+    assert (first == molecules.loc[first.index, "window_start"]).all()
+
+
+def test_compare_finds_the_true_model_nearer_than_a_wrong_one(cli, movie_file, model_file, tmp_path):
+    Model.from_json(model_file).with_values({"excitation.power_density_w_per_cm2": 60}).to_json(tmp_path / "w.json")
+    found = {}
+    for name, model in (("true", model_file), ("wrong", tmp_path / "w.json")):
+        assert cli("compare", movie_file, "--model", model, "--out", tmp_path / name)[0] == 0
+        found[name] = json.loads((tmp_path / name / "report.json").read_text())["w1"]
+        assert set(found[name]) >= {"mufasa", "poisson", "sofi", "floor", "unit"}
+        assert {"w1.png", "counts.png"} <= set(leftovers(tmp_path / name))
+    # The level doubles, so W1 grows by about 100 photoelectrons; the floor is a few.
+    assert found["wrong"]["mufasa"] > 70 > 15 > found["true"]["mufasa"]
+    assert found["true"]["unit"] == "photoelectrons per frame"
+
+
+def test_compare_takes_traces(cli, model_file, tmp_path):
+    rng = np.random.default_rng(1)
+    signal = 102 + 24 * rng.standard_normal((6, 20))  # level and noise of this model, by `design`
+    table = pd.DataFrame({"molecule": np.repeat(np.arange(6), 20), "frame": np.tile(np.arange(20), 6)})
+    table.assign(photoelectrons=signal.ravel()).to_csv(tmp_path / "t.csv", index=False)
+    code, out, _ = cli("compare", "--traces", tmp_path / "t.csv", "--model", model_file, "--out", tmp_path / "c")
+    assert code == 0 and "floor" in out
+    w1 = json.loads((tmp_path / "c/report.json").read_text())["w1"]
+    assert w1["mufasa"] < 15 and w1["unit"] == "photoelectrons per frame"
+
+
+def test_calibrate_recovers_the_camera(cli, model_file, tmp_path):
+    bright = Model.from_json(model_file).with_values({"optics.background_photons_per_px": 30})
+    still = bright.with_effects(nm.Model.from_dict(MODEL | {"effects": [{"kind": "background_gradient"}]}).effects[0])
+    movie, dark = nm.simulate(still, seed=1).movie, nm.simulate_dark(still, 60, seed=2)
+    io.write_movie(tmp_path / "m.tif", [movie], movie.shape, movie.dtype)
+    io.write_movie(tmp_path / "d.tif", [dark], dark.shape, dark.dtype)
+    code, out, _ = cli("calibrate", tmp_path / "m.tif", "--dark", tmp_path / "d.tif", "--em-gain", 300,
+                       "--out", tmp_path / "camera.json")  # fmt: skip
+    assert code == 0 and "baseline" in out
+    camera = nm.Camera(**json.loads((tmp_path / "camera.json").read_text()))
+    assert camera.type == "EMCCD" and camera.em_gain == 300
+    assert camera.electrons_per_adu == pytest.approx(12, rel=0.05)
+    assert camera.baseline_adu == pytest.approx(200, abs=0.5)
+    assert camera.read_noise_e == pytest.approx(50, rel=0.1)
+
+
+def test_design_prints_and_writes_a_sweep(cli, model_file, tmp_path):
+    code, out, _ = cli("design", "--model", model_file, "--vary", "excitation.power_density_w_per_cm2=1,10,100",
+                       "--out", tmp_path / "d.csv")  # fmt: skip
+    assert code == 0 and "snr_spot" in out
+    table = pd.read_csv(tmp_path / "d.csv")
+    np.testing.assert_allclose(table["k01_per_s"] / table["k01_per_s"][0], [1, 10, 100])
+
+
+# --- diagnose, refine ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """The discovery answered by a made-up report; keeps what it was asked."""
+    from napari_mufasa import discover, figures, html_report
+
+    asked = {}
+
+    def answer(movie, model, *others, **options):
+        asked.update(shape=movie.shape, model=model, others=others, options=options)
+        return report()
+
+    monkeypatch.setattr(discover, "diagnose", answer)
+    monkeypatch.setattr(discover, "refine", answer)
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    monkeypatch.setattr(figures.Drawing, "render", lambda self, theme, kind="png": b"")
+    return asked
+
+
+def test_diagnose_writes_report_and_says_the_verdict(cli, told, movie_file, model_file, tmp_path):
+    code, out, _ = cli("diagnose", movie_file, "--model", model_file, "--dark", movie_file, "--out", tmp_path / "d",
+                       "--seed", 7)  # fmt: skip
+    assert code == 0 and "Missing from the model: fast dark-state blinking." in out
+    assert told["shape"] == (120, 48, 48) and told["model"] == Model.from_json(model_file)
+    assert told["others"][0].shape == (120, 48, 48) and told["options"]["seed"] == 7
+    data = json.loads((tmp_path / "d/report.json").read_text())
+    assert data["verdict"] == "missing_effect" and data["chosen"] == ["triplet_blinking"]
+    assert {"error", "failing", "ranking", "history", "model", "seconds", "seed"} <= set(data)
+    assert Model.from_dict(data["model"]) == Model.from_json(tmp_path / "d/model.json")
+    assert "triplet" in (tmp_path / "d/report.html").read_text()
+
+
+def test_refine_adds_what_the_user_names(cli, told, movie_file, model_file, tmp_path):
+    code, _, _ = cli("refine", movie_file, "--model", model_file, "--add", "stage_drift", "laser_drift:change=-0.3",
+                     "--out", tmp_path / "d")  # fmt: skip
+    assert code == 0
+    kind, effect = told["others"][0]
+    assert kind == "stage_drift" and (effect.kind, effect.change) == ("laser_drift", -0.3)
+
+
+def test_lists_after_add_are_spread(tmp_path):
+    asked = ["refine", "--add", "a", "b:x=1", "--out", "dir", "m.tif"]
+    assert spread_lists(asked) == ["refine", "--add", "a", "--add", "b:x=1", "--out", "dir", "m.tif"]
+    assert spread_lists(["refine", "--add", "a", "m.tif"]) == ["refine", "--add", "a", "m.tif"]
+    assert spread_lists(["refine", "m.tif", "--add", "a", "--add", "b"]) == [
+        "refine",
+        "m.tif",
+        "--add",
+        "a",
+        "--add",
+        "b",
+    ]
+
+
+# --- how it fails --------------------------------------------------------------------------------------------
+
+BAD = {
+    "unknown verb": (["simulat"], "no such command"),
+    "unknown option": (["simulate", "--colour", "red"], "no such option"),
+    "missing option": (["denoise", "MOVIE", "--out", "OUT/d.tif"], "--model"),
+    "no model": (["simulate", "--out", "OUT/m.tif"], "--preset"),
+    "unknown preset": (["simulate", "--preset", "FFF", "--out", "OUT/m.tif"], "choose one of PALM"),
+    "not a number": (["simulate", "--preset", "FF", "--frames", "ten", "--out", "OUT/m.tif"], "--frames"),
+    "bad shape": (["simulate", "--preset", "FF", "--shape", "0", "5", "--out", "OUT/m.tif"], "shape_px"),
+    "no folder": (["simulate", "--preset", "FF", "--out", "OUT/none/m.tif"], "no folder"),
+    "bad suffix": (["simulate", "--preset", "FF", "--out", "OUT/m.avi"], "use .ome.tif"),
+    "unknown effect": (["simulate", "--preset", "FF", "--effect", "stage_drft", "--out", "OUT/m.tif"], "stage_drift"),
+    "bad effect value": (
+        ["simulate", "--preset", "FF", "--effect", "stage_drift:distance_px=-1", "--out", "OUT/m.tif"], "distance_px",
+    ),
+    "bad effect form": (["simulate", "--preset", "FF", "--effect", "row_noise:2", "--out", "OUT/m.tif"], "NAME=VALUE"),
+    "missing movie": (["denoise", "nowhere.tif", "--model", "MODEL", "--out", "OUT/d.tif"], "no file nowhere.tif"),
+    "truncated movie": (["denoise", "CUT", "--model", "MODEL", "--out", "OUT/d.tif"], "cut.tif"),
+    "not a movie": (["diagnose", "MODEL", "--model", "MODEL", "--out", "OUT/d"], "not a readable"),
+    "not a model": (["diagnose", "MOVIE", "--model", "MOVIE", "--out", "OUT/d"], "not readable JSON"),
+    "unknown method": (["denoise", "MOVIE", "--model", "MODEL", "--out", "OUT/d.tif", "--method", "magic"], "magic"),
+    "movie and traces": (["compare", "MOVIE", "--traces", "MODEL", "--model", "MODEL", "--out", "OUT/c"], "either"),
+    "not traces": (["compare", "--traces", "MODEL", "--model", "MODEL", "--out", "OUT/c"], "cannot read traces"),
+    "out is a file": (["traces", "MOVIE", "--model", "MODEL", "--out", "MODEL"], "is a file"),
+    "unknown effect to add": (["refine", "MOVIE", "--model", "MODEL", "--add", "magic", "--out", "OUT/d"], "magic"),
+    "bad sweep": (["design", "--model", "MODEL", "--vary", "power"], "PATH=V1,V2"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_exit_2_and_no_file(case, cli, movie_file, model_file, tmp_path):
+    cut = tmp_path / "cut.tif"
+    cut.write_bytes(movie_file.read_bytes()[:20_000])
+    (tmp_path / "out").mkdir()
+    paths = {"MOVIE": str(movie_file), "MODEL": str(model_file), "CUT": str(cut), "OUT": str(tmp_path / "out")}
+    arguments, expected = BAD[case]
+    arguments = [paths.get(a, re.sub("^OUT", paths["OUT"], a)) for a in arguments]
+    before = leftovers(model_file.parent)
+    code, _, err = cli(*arguments)
+    assert code == 2
+    assert err.count("\n") == 1 and err.startswith("napari-mufasa: ") and "Traceback" not in err
+    assert expected in err
+    assert leftovers(tmp_path / "out") == [] and leftovers(model_file.parent) == before
+
+
+def test_a_fault_of_ours_is_one_line_and_exit_1_with_the_traceback_on_request(cli, monkeypatch):
+    from napari_mufasa import presets
+
+    def broken(name: str) -> None:
+        raise KeyError("inner")
+
+    monkeypatch.setattr(presets, "preset", broken)
+    code, _, err = cli("presets", "FF")
+    assert code == 1 and err.count("\n") == 1 and "KeyError" in err and "report" in err
+    code, _, err = cli("presets", "FF", "--debug")
+    assert code == 1 and "Traceback" in err and "broken" in err
+
+
+def test_a_full_disk_is_told_in_one_line(cli, monkeypatch, tmp_path):
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device", str(tmp_path / "m.tif"))
+
+    monkeypatch.setattr(io, "write_movie", full)
+    code, _, err = cli("simulate", "--preset", "FF", "--frames", 2, "--out", tmp_path / "m.tif")
+    assert code == 2 and "no space left on device" in err and err.count("\n") == 1
+
+
+def test_a_failure_while_writing_a_folder_leaves_no_part_of_it(
+    cli, told, movie_file, model_file, tmp_path, monkeypatch
+):
+    from napari_mufasa import html_report
+    from napari_mufasa.errors import MufasaError
+
+    def fails(*_: object, **__: object) -> str:
+        raise MufasaError("no")
+
+    monkeypatch.setattr(html_report, "render", fails)
+    code, _, _ = cli("diagnose", movie_file, "--model", model_file, "--out", tmp_path / "d")
+    assert code == 2 and leftovers(tmp_path) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_ctrl_c_stops_with_130_and_leaves_nothing(tmp_path):
+    command = [sys.executable, "-m", "napari_mufasa", "simulate", "--preset", "FF", "--frames", "20000"]
+    running = subprocess.Popen(
+        [*command, "--shape", "256", "256", "--out", str(tmp_path / "m.ome.tif")], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        deadline = time.monotonic() + 60
+        while not leftovers(tmp_path) and time.monotonic() < deadline:  # until it writes
+            time.sleep(0.05)
+        assert leftovers(tmp_path), "the movie was never begun"
+        running.send_signal(signal.SIGINT)
+        _, err = running.communicate(timeout=60)
+    finally:
+        running.kill()
+    assert running.returncode == 130
+    assert "stopped" in err and "Traceback" not in err
+    assert leftovers(tmp_path) == []

@@ -1,0 +1,89 @@
+"""Predictions of `design` against the simulator they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.report_example import MODEL
+
+from napari_mufasa import MufasaError, camera, compare, preset, simulate, simulate_emission
+from napari_mufasa.design import predict, sweep
+from napari_mufasa.model import Model
+
+EXAMPLE = Model.from_dict(MODEL)
+
+
+def test_photons_per_frame_are_those_of_the_simulator():
+    model = EXAMPLE.with_values({"acquisition.n_frames": 100})
+    emission = simulate_emission(model, n_molecules=200, seed=1)
+    # Poisson: the mean of 20 000 frames has a relative sd of 1/√(189·20000) = 5e-4; five of them.
+    assert emission.mean() == pytest.approx(predict(model).emitted_photons_per_frame, rel=2.6e-3)
+
+
+def test_bleaching_time_and_photons_of_a_life():
+    model = preset("FF").with_values({"acquisition.n_frames": 4000, "fluorophore.cycles_before_bleaching": 2e3})
+    told = predict(model)
+    emission = simulate_emission(model, n_molecules=3000, seed=2)
+    last_frame = model.acquisition.n_frames - 1 - np.argmax(emission[:, ::-1] > 0, axis=1)
+    life_s = (last_frame + 0.5) * model.acquisition.interval_s
+    # Exponential lives and geometric photon numbers: relative sd of a mean of 3000 is 1.8 %; four of them.
+    assert life_s.mean() == pytest.approx(told.bleaching_time_s, rel=0.075)
+    detected = emission.sum(axis=1).mean() * model.camera.quantum_efficiency
+    assert detected == pytest.approx(told.photons_before_bleaching, rel=0.075)
+
+
+def test_duty_cycle_and_dark_time_of_a_blinking_molecule():
+    values = {"acquisition.n_frames": 4000, "fluorophore.cycles_before_bleaching": None}
+    model = preset("Blinking").with_values(values)
+    told = predict(model)
+    emission = simulate_emission(model, n_molecules=400, seed=3)[:, 500:]  # it starts in the dark
+    share = emission.mean() / told.emitted_photons_per_frame
+    # About 35 s / 0.53 s = 66 dark visits in each of 400 traces: 1 % relative sd is generous; four of them.
+    assert share == pytest.approx(told.duty_cycle, rel=0.04)
+    assert told.dark_time_s == pytest.approx(1 / 3)
+    assert told.bleaching_time_s is None
+
+
+@pytest.mark.parametrize("name", ["EMCCD", "CCD", "CMOS"])
+def test_signal_and_noise_of_the_peak_pixel(name):
+    changes = {"acquisition.n_frames": 3000, "acquisition.shape_px": (15, 15)}
+    if name != "EMCCD":
+        changes |= {"camera.type": name, "camera.em_gain": None, "camera.read_noise_e": 3.0}
+        changes |= {"camera.electrons_per_adu": 0.5}
+    model = EXAMPLE.with_values(changes)
+    told = predict(model)
+    movie = simulate(model, positions_px=np.array([[7.0, 7.0]]), seed=4).movie[:, 7, 7]
+    electrons = camera.photoelectrons(movie[:, None, None], model.camera).ravel()
+    background_e = model.camera.quantum_efficiency * model.optics.background_photons_per_px
+    # The molecule's own photon number adds nothing beyond Poisson (FF without bleaching). Means of 3000 frames
+    # have a relative sd below 1 %, sds of 1.3 %; the tolerance is four of them.
+    assert electrons.mean() - background_e == pytest.approx(told.peak_pixel_e, abs=4 * electrons.std() / np.sqrt(3000))
+    assert electrons.std() == pytest.approx(told.peak_pixel_e / told.snr_peak_pixel, rel=0.06)
+    assert movie.mean() == pytest.approx(told.peak_pixel_adu, abs=0.6 + 4 * movie.std() / np.sqrt(3000))
+
+
+def test_w1_floor_is_that_of_two_halves():
+    model = EXAMPLE.with_values({"sample.n_molecules": 40})
+    told = predict(model)
+    rng = np.random.default_rng(5)
+    traces = rng.normal(told.detected_e_per_frame, told.detected_e_per_frame / told.snr_spot, (40, 300))
+    measured = compare.floor(traces, n_splits=200, rng=rng).value
+    assert measured == pytest.approx(told.w1_floor_e, rel=0.15)
+
+
+def test_a_sweep_varies_what_it_is_told():
+    table = sweep(EXAMPLE, {"excitation.power_density_w_per_cm2": [10, 20], "acquisition.frame_length_s": [0.01, 0.02]})
+    assert len(table) == 4
+    photons = table["emitted_photons_per_frame"].to_numpy()
+    np.testing.assert_allclose(photons / photons[0], [1, 2, 2, 4], rtol=1e-3)  # far from saturation
+    with pytest.raises(MufasaError, match=r"no excitation\.colour"):
+        sweep(EXAMPLE, {"excitation.colour": [1]})
+    with pytest.raises(MufasaError, match="combinations"):
+        sweep(EXAMPLE, {"optics.psf_fwhm_nm": []})
+
+
+def test_a_triplet_without_return_ends_the_light():
+    model = preset("Blinking").with_values({"fluorophore.triplet_decay_rate_per_s": None})
+    told = predict(model)
+    assert told.bleaching_time_s is None and told.dark_time_s is None
+    assert told.on_time_s == pytest.approx(1 / (told.k01_per_s * (5e-4 + 1e-3)), rel=0.01)

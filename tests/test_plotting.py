@@ -1,0 +1,235 @@
+"""Figures: themes, legibility at dock width, what is drawn; and the report page."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.report_example import candidate, report
+
+from napari_mufasa import figures, html_report, plotting, wording
+from napari_mufasa.compare.distributions import Distribution
+
+RNG = np.random.default_rng(0)
+TRACES = RNG.normal(20, 5, (6, 100))
+MOVIE = RNG.poisson(5, (10, 16, 20))
+TABLE = pd.DataFrame({"y_px": [3.0, 8.0], "x_px": [4.0, 15.0], "kept": [True, False]})
+SHOWN = Distribution(
+    "counts", np.arange(5.0), "signal per frame (photoelectrons)", "density",
+    {"measured": np.ones(5), "mufasa": np.arange(5.0), "poisson": np.full(5, np.nan)},
+)  # fmt: skip
+W1 = {"mufasa": 0.3, "poisson": 2.1, "sofi": None, "floor": 0.25, "unit": "photoelectrons per frame"}
+
+ON_AXES = {
+    "staircase": lambda ax: plotting.staircase(ax, report()),
+    "staircase_of_nothing": lambda ax: plotting.staircase(ax, report("adequate")),
+    "evidence": lambda ax: plotting.evidence(ax, report().ranking, threshold=12),
+    "evidence_of_nothing": lambda ax: plotting.evidence(ax, []),
+    "z_scores": lambda ax: plotting.z_scores(ax, report().observables),
+    "curve": lambda ax: plotting.curve(ax, report().curves[0]),
+    "trace": lambda ax: plotting.trace(ax, TRACES[0], "Molecule 0", 0.02),
+    "distribution": lambda ax: plotting.distribution(ax, SHOWN, W1),
+    "w1_bars": lambda ax: plotting.w1_bars(ax, W1),
+    "molecules": lambda ax: plotting.molecules(ax, MOVIE[0], TABLE),
+}
+ON_FIGURES = {
+    "curves": lambda f: plotting.curves(f, report().curves),
+    "strengths": lambda f: plotting.strengths(f, report().ranking[0]),
+    "contact_sheet": lambda f: plotting.contact_sheet(f, TRACES),
+    "contact_sheet_of_nothing": lambda f: plotting.contact_sheet(f, TRACES[:0]),
+    "distributions": lambda f: plotting.distributions(f, [SHOWN, SHOWN]),
+    "montage": lambda f: plotting.montage(f, MOVIE, title="Movie"),
+}
+
+
+def draw(name: str, theme: str, width_in: float):
+    with plotting.style(theme):
+        made = plotting.figure(width_in, 3.0)
+        if name in ON_AXES:
+            ON_AXES[name](made.add_subplot())
+        else:
+            ON_FIGURES[name](made)
+        return made, plotting.image_bytes(made, dpi=100)
+
+
+def pixels(png: bytes) -> np.ndarray:
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), dtype=float)
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("name", [*ON_AXES, *ON_FIGURES])
+def test_every_figure_is_on_the_themes_ground_and_has_contrast(name, theme):
+    _, png = draw(name, theme, 6.4)
+    image = pixels(png)
+    ground = np.array([int(plotting.PALETTES[theme].background[i : i + 2], 16) for i in (1, 3, 5)])
+    np.testing.assert_array_equal(image[-1, 0], ground)
+    assert np.abs(image.mean(axis=2) - ground.mean()).max() > 80  # ink that can be read
+
+
+@pytest.mark.parametrize("name", [*ON_AXES, *ON_FIGURES])
+def test_at_dock_width_no_text_is_cut_off(name):
+    with plotting.style("dark"):
+        made = plotting.figure(3.5, 3.4)
+        if name in ON_AXES:
+            ON_AXES[name](made.add_subplot())
+        else:
+            ON_FIGURES[name](made)
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.text import Text
+
+        canvas = FigureCanvasAgg(made)
+        canvas.draw()
+        renderer = canvas.get_renderer()
+        for text in made.findobj(Text):
+            if text.get_visible() and text.get_text().strip() and text.axes is None:
+                continue
+            if not (text.get_visible() and text.get_text().strip()):
+                continue
+            if not _is_drawn(text):
+                continue
+            box = text.get_window_extent(renderer)
+            assert box.x0 >= -2 and box.x1 <= made.bbox.width + 2, text.get_text()
+
+
+def _is_drawn(text) -> bool:
+    """Tick labels outside the limits exist without being drawn; hidden axes draw nothing."""
+    ax = text.axes
+    if not ax.axison and text not in ax.texts:
+        return False
+    ticks = [*ax.xaxis.get_major_ticks(), *ax.xaxis.get_minor_ticks()]
+    ticks += [*ax.yaxis.get_major_ticks(), *ax.yaxis.get_minor_ticks()]
+    if any(text in (tick.label1, tick.label2) for tick in ticks):
+        shown = [*ax.xaxis._update_ticks(), *ax.yaxis._update_ticks()]
+        return any(text in (tick.label1, tick.label2) for tick in shown)
+    return True
+
+
+def test_style_is_left_behind():
+    import matplotlib
+
+    before = matplotlib.rcParams["figure.facecolor"]
+    with plotting.style("dark"):
+        assert matplotlib.rcParams["figure.facecolor"] == plotting.PALETTES["dark"].background
+    assert matplotlib.rcParams["figure.facecolor"] == before
+
+
+def test_staircase_shows_errors_floor_and_the_effects_that_lost():
+    made, _ = draw("staircase", "light", 6.4)
+    ax = made.axes[0]
+    points = {tuple(np.round(line.get_ydata(), 2)) for line in ax.lines}
+    assert (2.93, 1.04) in points and (0.98, 0.98) in points
+    assert (1.31, 2.4, 2.7) in points  # not the effect that was chosen, not one without an error
+
+
+def test_evidence_marks_what_cannot_be_told_apart():
+    with plotting.style("light") as palette:
+        ax = plotting.figure().add_subplot()
+        plotting.evidence(ax, report().ranking)
+        from matplotlib.colors import to_hex
+
+        colours = [to_hex(bar.get_facecolor()) for bar in ax.containers[0]][::-1]
+    assert colours[:3] == [palette.after, palette.before, palette.muted]
+
+
+def test_lines_of_nothing_but_nan_are_not_in_the_legend():
+    made, _ = draw("distribution", "light", 6.4)
+    labels = [text.get_text() for text in made.axes[0].get_legend().get_texts()]
+    assert labels == ["measured", "this model, W1 = 0.3"]
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "told"),
+    [(1.5234, 0.042, "1.523 ± 0.042"), (41.7, 3.2, "41.7 ± 3.2"), (5.0, None, "5"), (412.0, 30.0, "412 ± 30")],
+)
+def test_numbers_have_the_digits_their_uncertainty_allows(value, sd, told):
+    assert wording.number(value, sd) == told
+
+
+def test_parameters_are_told_with_units():
+    lines = wording.parameter_lines(candidate("triplet_blinking", 1.0, None))
+    assert lines == ["off rate = 5.20 ± 0.40 1/s", "dark time = 0.0410 ± 0.0030 s", "form = exponential"]
+    assert wording.parameter_label("stage_drift", "distance_px") == ("distance", "px")
+    assert wording.parameter_label("not_installed", "some_thing") == ("some thing", "")
+
+
+# --- the page ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return html_report.render(report(), traces=TRACES, subtitle="a <b>movie</b>")
+
+
+def test_the_page_needs_nothing_from_outside(page):
+    assert not re.search(r"""(?:src|href|srcset|url)\s*[=(]\s*["']?(?!data:|#)[^"'\s>]""", page)
+    assert "http" not in re.sub(r"data:[^\"]+", "", page)
+    assert page.count("prefers-color-scheme: dark") == page.count("<picture>") >= 6
+
+
+def test_the_page_says_what_is_missing_and_how_to_check(page):
+    from napari_mufasa.effects import effect_class
+
+    effect = effect_class("triplet_blinking")
+    for words in (effect.title, effect.what_it_is, effect.what_it_does, effect.how_to_check, effect.separated_by):
+        assert words in page
+    assert "Missing from the model: fast dark-state blinking." in page
+    assert "falls from 2.93 to 1.04; noise alone gives 0.98" in page
+    assert "dark time = 0.0410 ± 0.0030 s" in page
+
+
+def test_names_from_files_cannot_inject_markup(page):
+    assert "a &lt;b&gt;movie&lt;/b&gt;" in page and "<b>" not in page
+    assert "Background &lt;mean&gt;" in page
+
+
+def test_the_model_on_the_page_is_the_completed_model(page):
+    import html
+    import json
+
+    from napari_mufasa.model import Model
+
+    text = html.unescape(re.search(r"<pre id=model>(.*?)</pre>", page, re.S).group(1))
+    assert Model.from_dict(json.loads(text)) == report().model
+
+
+@pytest.mark.parametrize(
+    ("verdict", "line"),
+    [
+        ("adequate", "The model explains this measurement."),
+        ("unexplained", "Something is missing that no known effect explains."),
+    ],
+)
+def test_the_other_verdicts_have_their_words(verdict, line, monkeypatch):
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    text = html_report.render(report(verdict))
+    assert line in text and "Not seen is not absent" in text
+
+
+def test_what_is_still_off_is_told(monkeypatch):
+    import dataclasses
+
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    off = report()
+    table = off.observables.copy()
+    table.loc[9, "z_after"] = 6.4
+    assert "1 of 10 observables stay more than 3" in html_report.render(dataclasses.replace(off, observables=table))
+
+
+def test_export_writes_every_file_whole(tmp_path, monkeypatch):
+    import json
+
+    from napari_mufasa.model import Model
+
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    html_report.export(tmp_path, report(), TRACES)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"report.json", "report.html", "model.json", "observables.csv"} <= names
+    assert {f"{d.name}.png" for d in figures.diagnosis_drawings(report(), TRACES)} <= names
+    assert json.loads((tmp_path / "report.json").read_text())["error"]["after"] == 1.04
+    assert Model.from_json(tmp_path / "model.json") == report().model
+    assert len(pd.read_csv(tmp_path / "observables.csv")) == 10
