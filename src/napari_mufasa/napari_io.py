@@ -57,9 +57,13 @@ def movie_layer(path: str | os.PathLike[str]) -> LayerData:
 
     movie = read_movie(path)
     data = movie.data
-    options: dict[str, Any] = {"name": _stem(path), "contrast_limits": _contrast(np.asarray(data[len(data) // 2]))}
+    options: dict[str, Any] = {
+        "name": _stem(path),
+        "axis_labels": ("frame", "y", "x"),
+        "contrast_limits": contrast(data),
+    }
     if movie.model is not None:
-        options |= _space(movie.model) | {"metadata": _metadata(movie.model, movie.seed)}
+        options |= movie_space(movie.model) | {"metadata": _metadata(movie.model, movie.seed)}
     return data, options, "image"
 
 
@@ -123,10 +127,10 @@ def _sample(name: str, n_frames: int, n_molecules: int, changes: dict[str, Any])
         | changes
     )
     result = simulate(model, seed=1, workers=2)
-    options = _space(model) | {
+    options = movie_space(model) | {
         "name": f"{name} sample",
         "metadata": _metadata(model, 1),
-        "contrast_limits": _contrast(result.movie),
+        "contrast_limits": contrast(result.movie),
         "colormap": "gray",
     }
     return [(result.movie, options, "image")]
@@ -186,14 +190,15 @@ def sample_hidden_effect(seed: int = PUZZLE_SEED) -> list[LayerData]:
     ).with_effects(hidden_effect(seed))
     movie = simulate(truth, seed=seed, workers=2).movie
     dark = simulate_dark(truth, 60, seed=seed)
-    shared = _space(believed) | {"metadata": _metadata(believed, None), "colormap": "gray"}
+    shared = movie_space(believed) | {"metadata": _metadata(believed, None), "colormap": "gray"}
     return [
         (dark, shared | {"name": "hidden effect, dark frames", "visible": False, "metadata": {}}, "image"),
-        (movie, shared | {"name": "hidden effect", "contrast_limits": _contrast(movie)}, "image"),
+        (movie, shared | {"name": "hidden effect", "contrast_limits": contrast(movie)}, "image"),
     ]
 
 
-def _space(model: Model) -> dict[str, Any]:
+def movie_space(model: Model) -> dict[str, Any]:
+    """Scale and units of a (frame, y, x) layer: pixels in µm, the frame axis in frames."""
     size_um = model.acquisition.pixel_size_nm / 1000
     return {"scale": (1.0, size_um, size_um), "units": ("pixel", "um", "um"), "axis_labels": ("frame", "y", "x")}
 
@@ -202,9 +207,13 @@ def _metadata(model: Model, seed: int | None) -> dict[str, Any]:
     return {METADATA_KEY: {"model": model.to_dict(), "seed": seed}}
 
 
-def _contrast(frames: Any) -> tuple[float, float]:
-    low, high = (float(v) for v in np.percentile(frames, (1, 99.8)))
-    return low, max(high, low + 1e-3)
+def contrast(movie: Any) -> tuple[float, float]:
+    """Contrast limits from eight frames spread over the movie, so that a lazy one stays lazy."""
+    chosen = np.unique(np.linspace(0, len(movie) - 1, 8).astype(int))
+    frames = np.stack([np.asarray(movie[int(t)], dtype=np.float32) for t in chosen])
+    low, high = (float(v) for v in np.percentile(frames, (1, 99.9)))
+    # Coarse digitisation may leave a handful of levels: then the largest count is white.
+    return low, high if high - low > 4 else max(float(frames.max()), low + 1e-3)
 
 
 def _stem(path: str | os.PathLike[str]) -> str:

@@ -68,10 +68,11 @@ def run(qtbot):
 @pytest.fixture
 def with_movie(viewer, bright_model, bright_movie):
     """A viewer with the bright movie, chosen, and its model believed."""
-    from napari_mufasa.widgets.layers import add_movie, movie_scale
+    from napari_mufasa.napari_io import movie_space
+    from napari_mufasa.widgets.layers import add_movie
     from napari_mufasa.widgets.session import session_of
 
-    layer = add_movie(viewer, bright_movie.movie, "bright", movie_scale(bright_model), bright_model, 3)
+    layer = add_movie(viewer, bright_movie.movie, "bright", movie_space(bright_model), bright_model, 3)
     session = session_of(viewer)
     session.set_movie(layer)
     session.set_model(bright_model, "bright")

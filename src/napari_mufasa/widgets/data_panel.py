@@ -62,6 +62,9 @@ class DataPanel(Panel):
         self.use_model.setToolTip("Take over the model that travelled with the movie")
         self.use_model.clicked.connect(self._use_model)
         self.column.addWidget(self.use_model)
+        self.use_scale = QPushButton()
+        self.use_scale.clicked.connect(self._use_scale)
+        self.column.addWidget(self.use_scale)
         self.column.addStretch(1)
         self.session.movie_changed.connect(self.refresh)
         self.session.model_changed.connect(self.refresh)
@@ -92,6 +95,7 @@ class DataPanel(Panel):
     def refresh(self) -> None:
         layer = self.session.movie_layer
         self.use_model.setVisible(False)
+        self.use_scale.setVisible(False)
         if layer is None:
             self.facts.setText("No movie yet.")
             return
@@ -104,6 +108,11 @@ class DataPanel(Panel):
         size = resolution_um(layer)
         lines = [f"<b>{layer.name}</b>: {shape[0]} frames of {shape[1]} × {shape[2]} px, {layer.dtype}"]
         lines.append(f"pixel size {size * 1000:.4g} nm" if size else "pixel size not stated: the model's is used")
+        if not size and self.session.model_chosen:
+            self.use_scale.setText(
+                f"Give it the model's pixel size, {self.session.model.acquisition.pixel_size_nm:g} nm"
+            )
+            self.use_scale.setVisible(True)
         if believed is None:
             lines.append("carries no model: choose one in step Model, the camera in step Camera")
         else:
@@ -114,6 +123,16 @@ class DataPanel(Panel):
 
     def _open_sample(self) -> None:
         guarded(self.run_bar, lambda: self.open_sample(SAMPLES[self.sample.currentText()]))
+
+    def _use_scale(self) -> None:
+        from napari_mufasa.napari_io import movie_space
+
+        layer = self.session.movie_layer
+        if layer is not None and layer.ndim == 3:
+            space = movie_space(self.session.model)
+            layer.scale, layer.units = space["scale"], space["units"]
+            self.viewer.reset_view()
+        self.refresh()
 
     def _take(self, layer: Any) -> None:
         self.session.set_movie(layer)

@@ -10,21 +10,20 @@ from qtpy.QtWidgets import (
     QCheckBox,
     QFileDialog,
     QHBoxLayout,
-    QHeaderView,
     QLabel,
     QPushButton,
-    QTableWidget,
-    QTableWidgetItem,
     QTabWidget,
     QVBoxLayout,
     QWidget,
 )
 
-from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import Quiet, guarded
 from napari_mufasa.widgets.model_panel import ModelSource
 from napari_mufasa.widgets.panel import MovieChooser, Panel, seed_row
 from napari_mufasa.widgets.plot import PlotCanvas
+from napari_mufasa.widgets.tables import add_row, table
+from napari_mufasa.widgets.telling import headline, matching_curve, title_of, told, words_of
 
 if TYPE_CHECKING:
     from napari_mufasa.discover.result import Candidate, Report
@@ -58,6 +57,10 @@ class DiscoverPanel(Panel):
     def build(self) -> None:
         self.investigation: Any = None
         self._steering = Steering()
+        self._reports: list[Report] = []
+        self._name = ""
+        #: Passed on to `Investigation`, for example ``{"effects": ["stage_drift", "laser_drift"]}``.
+        self.investigation_options: dict[str, Any] = {}
         self.report: Report | None = None
         self._quiet = Quiet(self)
         self.chooser, self.source = MovieChooser(self.session), ModelSource(self.session)
@@ -121,81 +124,87 @@ class DiscoverPanel(Panel):
     def prepare(self) -> None:
         measurement = self.session.measurement()
         model, seed = self.session.matching_model(measurement.movie), self.seed.value()
-        steering = self._steering = Steering()
+        steering, options = Steering(), dict(self.investigation_options)
 
         def work(progress: Any, cancel: Any) -> Any:
-            import numpy as np
-
             from napari_mufasa.discover import Investigation
 
             steering.take(progress, cancel)
-            dark = np.asarray(measurement.dark) if measurement.dark is not None else None
             investigation = Investigation(
-                measurement.movie, model, dark, seed=seed, progress=steering.progress, cancel=steering.cancel
-            )
+                measurement.movie, model, measurement.dark, seed=seed, progress=steering.progress,
+                cancel=steering.cancel, **options,
+            )  # fmt: skip
             investigation.examine()
             investigation.rank()
             return investigation, investigation.report()
 
-        self.start("Looking for what is missing", work, self._take)
+        def done(found: Any) -> None:
+            self.investigation, report = found
+            self._steering, self._reports, self._name = steering, [report], measurement.name
+            self.show_report(report)
+
+        self.start("Looking for what is missing", work, done)
 
     def add_selected(self) -> None:
-        candidate = self._selected_candidate()
-        if candidate is not None:
-            self._change(f"Adding {title_of(candidate.effect)}", lambda investigation: investigation.add(candidate))
-
-    def undo(self) -> None:
-        self._change("Undoing", lambda investigation: investigation.undo())
-
-    def _change(self, title: str, step: Any) -> None:
-        investigation, steering, seed = self.investigation, self._steering, self.seed.value()
-        if investigation is None:
+        """Fit the selected effect into the model, see what is still missing."""
+        candidate, investigation, steering = self._selected_candidate(), self.investigation, self._steering
+        if candidate is None or investigation is None:
             guarded(self.run_bar, self._complain)
             return
-        with_movie = self.simulate_box.isChecked()
-        self._enable(False)
+        with_movie, seed = self.simulate_box.isChecked(), self.seed.value()
 
         def work(progress: Any, cancel: Any) -> Any:
             steering.take(progress, cancel)
-            step(investigation)
-            if cancel():
-                raise Cancelled
-            investigation.rank()
-            report = investigation.report()
-            simulated = None
-            if with_movie:
-                from napari_mufasa.simulation import simulate
+            n = len(investigation.chosen)
+            try:
+                investigation.add(candidate)
+                investigation.rank()
+                report = investigation.report()
+                simulated = None
+                if with_movie:
+                    from napari_mufasa.simulation import simulate
 
-                simulated = simulate(report.model, seed=seed, cancel=cancel)
-            return investigation, report, simulated
+                    simulated = simulate(report.model, seed=seed, cancel=cancel)
+            except BaseException:
+                if len(investigation.chosen) > n:  # stopped half-way: as if it had not been pressed
+                    investigation.undo()
+                raise
+            return report, simulated
 
-        self.start(title, work, self._take)
+        self.start(f"Adding {title_of(candidate.effect).lower()}", work, self._take)
+        self._enable()
+
+    def undo(self) -> None:
+        """Back to the report before the last Add."""
+        if self.run_bar.running or len(self._reports) < 2:
+            return
+        self.investigation.undo()
+        self._reports.pop()
+        self.show_report(self._reports[-1])
 
     def _complain(self) -> None:
         raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
 
     # results ----------------------------------------------------------------------------------------
     def _take(self, found: Any) -> None:
-        self.investigation, report, *simulated = found
+        report, simulated = found
+        self._reports.append(report)
         self.show_report(report)
-        if simulated and simulated[0] is not None:
-            from napari_mufasa.widgets.layers import add_movie, movie_scale
+        if simulated is not None:
+            from napari_mufasa.napari_io import movie_space
+            from napari_mufasa.widgets.layers import add_movie
 
-            result = simulated[0]
             layer = self.session.movie_layer
             limits = {"contrast_limits": layer.contrast_limits} if layer is not None else {}
-            space = movie_scale(result.model)
-            add_movie(self.viewer, result.movie, "simulated by the model now", space, result.model, **limits)
+            name, space = f"{self._name}, simulated by the model now", movie_space(simulated.model)
+            add_movie(self.viewer, simulated.movie, name, space, simulated.model, **limits)
 
     def show_report(self, report: Report) -> None:
         """Everything the panel shows follows from the report."""
         self.report = report
-        from napari_mufasa.wording import verdict_text
-
-        line, sentence = verdict_text(report)
-        notes = "\n".join(report.notes)
+        line, sentence = headline(report)
         self.verdict.setText(f"<b>{line}</b><br>{sentence}")
-        self.verdict.setToolTip(notes)
+        self.verdict.setToolTip("\n".join(report.notes))
         self.verdict.show()
         with self._quiet:
             self._fill_failing(report)
@@ -206,15 +215,18 @@ class DiscoverPanel(Panel):
             self.curve.clear("The model describes every observable within its noise.")
         if self.ranking.rowCount():
             self.ranking.selectRow(0)
+        else:
+            self.details.setText("No further effect was tried.")
         self._show_history(report)
-        self._enable(True)
+        self._enable()
         # What was found is what is believed from now on.
-        self.session.set_model(report.model, f"found in {self.chooser.movie.currentText()}")
+        self.session.set_model(report.model, f"fitted to {self._name}")
         self.session.set_result("report", report)
 
-    def _enable(self, free: bool) -> None:
+    def _enable(self) -> None:
+        free = not self.run_bar.running
         self.add_button.setEnabled(free and self._selected_candidate() is not None)
-        self.undo_button.setEnabled(free and self.report is not None and bool(self.report.chosen))
+        self.undo_button.setEnabled(free and len(self._reports) > 1)
         self.export_button.setEnabled(self.report is not None)
 
     def _fill_failing(self, report: Report) -> None:
@@ -242,8 +254,18 @@ class DiscoverPanel(Panel):
         chosen: Any = self.failing.selectedItems()[0]
         name = str(chosen.data(Qt.ItemDataRole.UserRole))
         curve = matching_curve(name, self.report.curves)
-        if curve is None:
-            self.curve.clear(f"{name} is a single number, not a curve.")
+        row = self.report.observables.query("observable == @name")
+        title = told(row.iloc[0]) if len(row) else ""
+        if curve is None:  # a single number: show it among the others
+            observables = self.report.observables
+
+            def draw_all(figure: Any) -> Any:
+                from napari_mufasa import plotting
+
+                plotting.z_scores(figure.subplots(), observables)
+                return observables
+
+            self.curve.draw(draw_all, title)
             return
 
         def draw(figure: Any) -> Any:
@@ -255,7 +277,7 @@ class DiscoverPanel(Panel):
             columns = ("x", "measured", "before", "before_sd", "after", "after_sd")
             return pd.DataFrame({column: getattr(curve, column) for column in columns})
 
-        self.curve.draw(draw)
+        self.curve.draw(draw, title)
 
     def _selected_candidate(self) -> Candidate | None:
         row = self.ranking.currentRow()
@@ -269,7 +291,7 @@ class DiscoverPanel(Panel):
             return
         self.details.setText(words_of(candidate))
         self.add_button.setText(f"Add {title_of(candidate.effect).lower()}")
-        self._enable(not self.run_bar.running)
+        self._enable()
 
     def _show_history(self, report: Report) -> None:
         def draw(figure: Any) -> Any:
@@ -299,62 +321,3 @@ class DiscoverPanel(Panel):
         self.report.model.to_json(target / "model.json")
         write_table(target / "observables.csv", self.report.observables)
         self.run_bar.say(f"Written: report.json, model.json and observables.csv in {folder}")
-
-
-def table(headers: list[str]) -> QTableWidget:
-    """A table of rows to choose one from; the first column takes the room."""
-    made: Any = QTableWidget(0, len(headers))
-    made.setHorizontalHeaderLabels(headers)
-    made.verticalHeader().setVisible(False)
-    made.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
-    made.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
-    made.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-    made.setTextElideMode(Qt.TextElideMode.ElideRight)
-    made.setMinimumHeight(120)
-    header = made.horizontalHeader()
-    header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-    header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-    return made  # type: ignore[no-any-return]
-
-
-def add_row(made: QTableWidget, cells: list[str], tip: str, key: str) -> None:
-    row = made.rowCount()
-    made.insertRow(row)
-    for column, text in enumerate(cells):
-        item = QTableWidgetItem(text)
-        item.setToolTip(tip)
-        item.setData(Qt.ItemDataRole.UserRole, key)
-        if column:
-            item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        made.setItem(row, column, item)
-
-
-def title_of(kind: str) -> str:
-    from napari_mufasa.wording import effect_title
-
-    return effect_title(kind)
-
-
-def words_of(candidate: Candidate) -> str:
-    """What the effect is, its fitted numbers, what to check at the microscope."""
-    from napari_mufasa.effects import catalogue
-    from napari_mufasa.wording import parameter_lines
-
-    effect = catalogue().get(candidate.effect)
-    lines = [f"{effect.what_it_is} {effect.what_it_does}"] if effect is not None else []
-    fitted = parameter_lines(candidate)
-    if fitted:
-        lines.append(f"<b>Fitted:</b> {', '.join(fitted)}")
-    if candidate.indistinguishable_from:
-        others = ", ".join(title_of(kind).lower() for kind in candidate.indistinguishable_from)
-        separate = f" To separate: {effect.separated_by}." if effect is not None and effect.separated_by else ""
-        lines.append(f"<b>Cannot be told apart from:</b> {others}.{separate}")
-    if effect is not None and effect.how_to_check:
-        lines.append(f"<b>Check:</b> {effect.how_to_check}")
-    return "<br>".join(lines)
-
-
-def matching_curve(observable: str, curves: Any) -> Any:
-    """The curve an observable belongs to: the one whose name it starts with (the longest such)."""
-    fitting = [curve for curve in curves if observable.startswith(curve.name)]
-    return max(fitting, key=lambda curve: len(curve.name), default=None)

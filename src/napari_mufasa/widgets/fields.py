@@ -17,7 +17,7 @@ from qtpy.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QLineEdit,
-    QToolButton,
+    QPushButton,
     QWidget,
 )
 
@@ -28,12 +28,14 @@ UNITS = {  # endings of names; longer ones first where one ends the other
     "_per_s": "1/s",
     "_frames": "frames",
     "_adu": "ADU",
-    "_e2": "e⁻²",
+    "_e2": "(e⁻)²",
+    "_deg": "°",
     "_nm": "nm",
     "_px": "px",
     "_e": "e⁻",
     "_s": "s",
 }
+NAMED_UNITS = {"electrons_per_adu": "e⁻/ADU", "n_frames": ""}
 LABELS = {
     "n_frames": "Frames",
     "n_molecules": "Molecules",
@@ -46,6 +48,7 @@ LABELS = {
     "isc_ratio": "Triplet crossing α_isc",
     "type": "Type",
 }
+EMPTY = {"frame_interval_s": "no dead time", "high_resolution_factor": "exact integrals"}
 ERROR_STYLE = "QLineEdit { border: 1px solid #e0605e; }"
 
 
@@ -54,8 +57,8 @@ def unit_of(name: str, owner: type[BaseModel] | None = None) -> str:
     declared = getattr(owner, "unit", None)
     if callable(declared) and declared(name):
         return str(declared(name))
-    if name in ("electrons_per_adu",):
-        return "e⁻/ADU"
+    if name in NAMED_UNITS:
+        return NAMED_UNITS[name]
     return next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")
 
 
@@ -175,10 +178,9 @@ class MapEdit(QWidget):
         super().__init__(parent)
         self._value: Any = None
         self._label = QLabel("none")
-        choose, clear = QToolButton(), QToolButton()
-        choose.setText("…")
+        choose, clear = QPushButton("TIFF …"), QPushButton("×")
         choose.setToolTip("Read the map from a 2-D TIFF")
-        clear.setText("×")
+        clear.setMaximumWidth(26)
         clear.setToolTip("No map")
         choose.clicked.connect(self._choose)
         clear.clicked.connect(lambda: self._take(None))
@@ -276,16 +278,16 @@ class Form(QWidget):
             editor.edited.connect(lambda name=name: self.edited.emit(name))
             label = QLabel(label_of(name))
             label.setToolTip(tip)
-            row = editor
-            if unit:
-                row = QWidget()
-                inside = QHBoxLayout(row)
-                inside.setContentsMargins(0, 0, 0, 0)
-                inside.setSpacing(4)
-                unit_label = QLabel(unit)
-                unit_label.setMinimumWidth(58)
-                inside.addWidget(editor, 1)
-                inside.addWidget(unit_label)
+            if isinstance(editor, NumberEdit) and name in EMPTY:
+                editor.setPlaceholderText(EMPTY[name])
+            row = QWidget()
+            inside = QHBoxLayout(row)
+            inside.setContentsMargins(0, 0, 0, 0)
+            inside.setSpacing(4)
+            unit_label = QLabel(unit)
+            unit_label.setFixedWidth(64)
+            inside.addWidget(editor, 1)
+            inside.addWidget(unit_label)
             self._layout.addRow(label, row)
             self.editors[name] = editor
 

@@ -9,6 +9,7 @@ from qtpy.QtCore import Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QComboBox, QWidget
 
 from napari_mufasa.io import METADATA_KEY
+from napari_mufasa.napari_io import contrast
 
 if TYPE_CHECKING:
     from napari.layers import Image, Layer, Points
@@ -77,12 +78,6 @@ def slim(combo: QComboBox) -> None:
     combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
 
 
-def movie_scale(model: Model) -> dict[str, Any]:
-    """Scale and units of a (frame, y, x) layer: pixels in µm, the frame axis in frames."""
-    size_um = model.acquisition.pixel_size_nm / 1000
-    return {"scale": (1.0, size_um, size_um), "units": ("pixel", "um", "um"), "axis_labels": ("frame", "y", "x")}
-
-
 def like(layer: Layer) -> dict[str, Any]:
     """The spatial arrangement of a layer, for results that lie on top of it."""
     return {"scale": tuple(layer.scale), "translate": tuple(layer.translate), "units": layer.units}
@@ -90,11 +85,9 @@ def like(layer: Layer) -> dict[str, Any]:
 
 def add_movie(viewer: Viewer, data: Any, name: str, space: dict[str, Any], model: Model | None = None,
               seed: int | None = None, **kwargs: Any) -> Image:  # fmt: skip
-    """A movie as an Image layer; contrast from one frame, so that lazy data stay lazy."""
-    frame = np.asarray(data[len(data) // 2], dtype=np.float32)
-    low, high = (float(v) for v in np.percentile(frame, (1, 99.9)))
+    """A movie as an Image layer; contrast from a few frames, so that lazy data stay lazy."""
     metadata = {METADATA_KEY: {"model": model.to_dict(), "seed": seed}} if model is not None else {}
-    options = {"contrast_limits": (low, max(high, low + 1e-3)), "colormap": "gray"} | kwargs
+    options = {"contrast_limits": contrast(data), "colormap": "gray"} | kwargs
     added: Any = viewer.add_image(data, name=name, metadata=metadata, **space, **options)
     return added
 

@@ -42,6 +42,7 @@ class ModelSource(QWidget):
         self.combo = QComboBox()
         self.combo.addItems([*PRESETS, FROM_FILE, FROM_LAYER])
         slim(self.combo)
+        self.combo.setPlaceholderText("choose another …")
         self.combo.setToolTip("Where the believed model comes from")
         self.combo.activated.connect(self._on_chosen)
         self.save_button = QPushButton("Save …")
@@ -105,8 +106,9 @@ class ModelSource(QWidget):
     def _show(self) -> None:
         model, origin = self.session.model, self.session.model_origin
         plain = origin.removeprefix("preset ")
-        self.combo.setCurrentText(plain if plain in PRESETS else FROM_LAYER if "metadata" in origin else FROM_FILE)
-        effects = ", ".join(effect.kind for effect in model.effects)
+        known = plain if plain in PRESETS else FROM_LAYER if origin.startswith("metadata of") else ""
+        self.combo.setCurrentIndex(self.combo.findText(known))  # -1 shows the placeholder
+        effects = ", ".join((effect.title or effect.kind).lower() for effect in model.effects)
         self.origin.setText(
             f"In use: {origin} · {model.protocol}, {model.camera.type}" + (f" · with {effects}" if effects else "")
         )

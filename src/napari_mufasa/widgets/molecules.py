@@ -116,7 +116,7 @@ class MoleculesPanel(Panel):
         self.run_bar.say(f"{kept} molecules kept of {len(table)} candidates.")
         self.points = add_points(
             self.viewer, traces.positions_px, _features(table), f"{name}, molecules", layer,
-            size=max(5.0, 6 * traces.sigma_px), face_color="transparent", border_width=0.12,
+            size=max(4.0, 5 * traces.sigma_px), face_color="transparent", border_width=0.07,
             border_color=_colours(table), symbol="disc",
         )  # fmt: skip
         self.points.mode = "select"

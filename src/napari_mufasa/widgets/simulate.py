@@ -6,7 +6,8 @@ from typing import Any
 
 from qtpy.QtWidgets import QCheckBox, QComboBox, QFormLayout, QSpinBox
 
-from napari_mufasa.widgets.layers import add_movie, add_points, movie_scale
+from napari_mufasa.napari_io import movie_space
+from napari_mufasa.widgets.layers import add_movie, add_points
 from napari_mufasa.widgets.model_panel import DerivedValues, ModelSource, PartEditor, section
 from napari_mufasa.widgets.panel import Panel
 
@@ -62,7 +63,7 @@ class SimulatePanel(Panel):
         self.start("Simulating", work, self._show)
 
     def _show(self, result: Any) -> None:
-        model, space = result.model, movie_scale(result.model)
+        model, space = result.model, movie_space(result.model)
         name = f"{model.protocol} simulated"
         if self.optical.isChecked():
             add_movie(self.viewer, result.optical, f"{name}, photons", space, model, result.seed, visible=False)
@@ -73,7 +74,7 @@ class SimulatePanel(Panel):
             photons = pd.DataFrame({"photons": result.emission[: len(result.positions_px)].sum(axis=1)})
             add_points(
                 self.viewer, result.positions_px, photons, f"{name}, true positions", movie,
-                size=6, symbol="ring", face_color="transparent", border_color="#5ec4ff", visible=False,
+                size=6, border_width=0.12, face_color="transparent", border_color="#5ec4ff", visible=False,
             )  # fmt: skip
             self.viewer.layers.selection.active = movie
         self.session.set_movie(movie)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # napari's own style hides which tool button is checked.
 STEP_STYLE = """
 QToolButton { padding: 3px 1px; border: none; border-bottom: 3px solid transparent; border-radius: 0px; }
-QToolButton:checked { border-bottom: 3px solid #4a90d9; font-weight: bold; background: rgba(74, 144, 217, 45); }
+QToolButton:checked { border-bottom: 3px solid #4a90d9; background: rgba(74, 144, 217, 45); }
 QToolButton:hover { background: rgba(128, 128, 128, 60); }
 """
 STEPS = ("Data", "Camera", "Denoise", "Molecules", "Model", "Compare", "Discover")

@@ -1,0 +1,63 @@
+"""A diagnosis in words, for the Discover step. No Qt here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from napari_mufasa.wording import effect_title as title_of
+
+if TYPE_CHECKING:
+    from napari_mufasa.discover.result import Candidate, Report
+
+__all__ = ["headline", "matching_curve", "title_of", "told", "words_of"]
+
+
+def words_of(candidate: Candidate) -> str:
+    """What the effect is, its fitted numbers, what to check at the microscope."""
+    from napari_mufasa.effects import catalogue
+    from napari_mufasa.wording import parameter_lines
+
+    effect = catalogue().get(candidate.effect)
+    lines = [f"{effect.what_it_is} {effect.what_it_does}"] if effect is not None else []
+    fitted = parameter_lines(candidate)
+    if fitted:
+        lines.append(f"<b>Fitted:</b> {', '.join(fitted)}")
+    if candidate.indistinguishable_from:
+        others = ", ".join(title_of(kind).lower() for kind in candidate.indistinguishable_from)
+        separate = f" To separate: {effect.separated_by}." if effect is not None and effect.separated_by else ""
+        lines.append(f"<b>Cannot be told apart from:</b> {others}.{separate}")
+    if effect is not None and effect.how_to_check:
+        lines.append(f"<b>Check:</b> {effect.how_to_check}")
+    return "<br>".join(lines)
+
+
+def headline(report: Report) -> tuple[str, str]:
+    """The verdict in words; before anything was added, what adding the best effect would do."""
+    from napari_mufasa.wording import verdict_text
+
+    best = report.ranking[0] if report.ranking else None
+    before, floor = report.error.get("before"), report.error.get("floor")
+    if report.verdict == "adequate" or report.chosen or best is None or best.error_after is None or before is None:
+        return verdict_text(report)
+    gives = f"; noise alone gives {floor:.2f}" if floor is not None else ""
+    if best.error_after >= before:
+        return "Something is missing, and no effect tried lowers the error.", f"The error is {before:.2f}{gives}."
+    return (
+        f"Something is missing. {title_of(best.effect)} explains it best.",
+        f"Adding it brings the error on held-out data from {before:.2f} to {best.error_after:.2f}{gives}.",
+    )
+
+
+def told(row: Any) -> str:
+    """One observable in numbers."""
+    unit = f" {row['unit']}" if row["unit"] else ""
+    return (
+        f"<b>{row['title']}</b>: measured {row['measured']:.3g}, model {row['before']:.3g} ± {row['sd']:.2g}{unit}"
+        f" · now {row['after']:.3g}"
+    )
+
+
+def matching_curve(observable: str, curves: Any) -> Any:
+    """The curve an observable belongs to: the one whose name it starts with (the longest such)."""
+    fitting = [curve for curve in curves if observable.startswith(curve.name)]
+    return max(fitting, key=lambda curve: len(curve.name), default=None)

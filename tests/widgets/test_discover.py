@@ -1,0 +1,119 @@
+"""The Discover step: a made-up report shown in every detail, and a real investigation from click to falling error."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from qtpy.QtCore import Qt
+
+from napari_mufasa.model import Model
+from napari_mufasa.widgets.discover import DiscoverPanel
+from napari_mufasa.widgets.session import session_of
+from napari_mufasa.widgets.telling import headline, matching_curve
+
+_spec = importlib.util.spec_from_file_location("report_example", Path(__file__).parents[1] / "report_example.py")
+example = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(example)
+
+
+@pytest.fixture
+def panel(with_movie):
+    made = DiscoverPanel(with_movie)
+    with_movie.window.add_dock_widget(made)
+    return made
+
+
+def cells(table, row):
+    return [table.item(row, column).text() for column in range(table.columnCount())]
+
+
+def test_report_fills_the_tables_and_a_click_shows_the_curve(panel):
+    report = example.report()
+    panel.show_report(report)
+    assert "fast dark-state blinking" in panel.verdict.text().lower()
+    assert panel.failing.rowCount() == len(report.failing)
+    assert cells(panel.failing, 0)[1] == f"{report.failing[0]['z']:+.1f}"
+    first = cells(panel.ranking, 0)
+    assert first[1:3] == ["260", "1.04"]
+    assert cells(panel.ranking, 4)[2] == "–"  # never fitted: no error known
+    assert "Check:" in panel.details.text()
+    assert "Cannot be told apart from:" in panel.details.text()
+    panel.failing.selectRow(1)
+    curve = matching_curve(report.failing[1]["observable"], report.curves)
+    if curve is None:  # a single number is shown among the others
+        assert set(panel.curve.data["observable"]) == set(report.observables["observable"])
+    else:
+        assert np.array_equal(panel.curve.data["measured"], curve.measured)
+    assert list(panel.history.data["error"]) == [2.93, 1.04]
+
+
+def test_curve_is_the_one_the_observable_belongs_to():
+    curves = example.report().curves
+    assert matching_curve("autocorrelation_3", curves).name == "autocorrelation"
+    assert matching_curve("survival_half", curves).name == "survival"
+    assert matching_curve("pixel_lag_1", curves) is None
+
+
+def test_words_follow_the_evidence():
+    adequate = example.report("adequate")
+    assert "explains this measurement" in headline(adequate)[0]
+    found = example.report("unexplained")
+    line, sentence = headline(found)
+    assert "blinking" in line  # nothing was added yet, but something would help
+    assert "2.93 to 1.04" in sentence
+
+
+def test_export_writes_report_and_model(panel, tmp_path):
+    report = example.report()
+    panel.show_report(report)
+    panel.export(str(tmp_path))
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["chosen"] == ["triplet_blinking"]
+    assert Model.from_json(tmp_path / "model.json") == report.model
+    assert (tmp_path / "observables.csv").is_file()
+
+
+def test_add_without_examination_says_what_to_do(panel):
+    panel.show_report(example.report())
+    panel.add_button.click()
+    assert "Look for what is missing" in panel.run_bar.message.text()
+
+
+@pytest.mark.slow
+def test_drift_is_found_added_and_taken_out_again(viewer, qtbot):
+    from napari_mufasa.effects import effect_from_data
+    from napari_mufasa.napari_io import movie_space, puzzle_model
+    from napari_mufasa.simulation import simulate
+    from napari_mufasa.widgets.layers import add_movie
+
+    believed = puzzle_model().with_values({"acquisition.n_frames": 120, "acquisition.shape_px": (48, 48),
+                                           "sample.n_molecules": 20})  # fmt: skip
+    truth = believed.with_effects(effect_from_data({"kind": "stage_drift", "distance_px": 4.0}))
+    layer = add_movie(viewer, simulate(truth, seed=4).movie, "drifting", movie_space(believed), believed)
+    session = session_of(viewer)
+    session.set_movie(layer)
+    session.set_model(believed, "test")
+    panel = DiscoverPanel(viewer)
+    viewer.window.add_dock_widget(panel)
+    panel.investigation_options = {"effects": ["stage_drift", "triplet_blinking"]}
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=300_000):
+        panel.run_bar.run_button.click()
+    assert panel.ranking.item(0, 0).data(Qt.ItemDataRole.UserRole) == "stage_drift"
+    assert not panel.undo_button.isEnabled()
+    assert session.model.effects == ()
+    panel.simulate_box.setChecked(True)
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=300_000):
+        panel.add_button.click()
+    errors = [step["error"] for step in panel.report.history]
+    assert errors[1] < 0.6 * errors[0]
+    assert [effect.kind for effect in session.model.effects] == ["stage_drift"]
+    # 4 px were hidden; the fit knows them to a few tenths.
+    assert session.model.effects[0].distance_px == pytest.approx(4.0, abs=1.0)
+    assert viewer.layers[-1].data.shape == layer.data.shape
+    panel.undo_button.click()
+    assert session.model.effects == ()
+    assert panel.ranking.item(0, 0).data(Qt.ItemDataRole.UserRole) == "stage_drift"
