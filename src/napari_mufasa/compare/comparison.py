@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.compare.distributions import Distribution, Sample, distributions
 from napari_mufasa.compare.fit import Fit, fit_gain, fit_model, fit_raw_traces
-from napari_mufasa.compare.simulated import acquisitions, extract_simulated, far_apart
+from napari_mufasa.compare.simulated import FarApart, acquisitions, extract_simulated
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model import Model
@@ -162,19 +162,19 @@ def compare_traces(
     model = model.model_copy(update={"acquisition": timing})
     options = Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=background_subtracted)  # type: ignore[arg-type]
     n = n_simulated or max(200, len(electrons))
-    field = far_apart(model.sigma_px, n, options, seed, pixel_share)
+    field = FarApart(model.sigma_px, n, options, seed, pixel_share)
 
     def measured_like(values: NDArray[np.floating]) -> Sample:
         return _cut(values, model, background_subtracted, window, best if values is electrons else None)
 
     def simulate(candidate: Model) -> NDArray[np.float32]:
-        return field.traces(field.acquisitions(candidate, seed)["mufasa"], options, cancel)
+        return field.traces(field.acquisitions(candidate, seed)["mufasa"], cancel)
 
     samples = {"measured": measured_like(electrons)}
     if len(samples["measured"].traces) == 0:
         raise MufasaError(f"no trace is active in the {window} frames before bleaching: choose a smaller window")
     for name, acquisition in field.acquisitions(model, seed).items():
-        samples[name] = measured_like(field.traces(acquisition, options, cancel))
+        samples[name] = measured_like(field.traces(acquisition, cancel))
     fitted = None
     if fit:
         gain = 1.0
@@ -190,7 +190,7 @@ def compare_traces(
         # Another seed than the fit used: the fit must not profit from its own chance. A fitted gain changes
         # what a photoelectron is worth in ADU; all samples stay in the unit of the model as given.
         acquisition = field.acquisitions(fitted.model, seed + 10)["mufasa"]
-        samples["fitted"] = measured_like(gain * field.traces(acquisition, options, cancel))
+        samples["fitted"] = measured_like(gain * field.traces(acquisition, cancel))
     notes = tuple(f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0)
     return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
 

@@ -65,7 +65,8 @@ def fit_raw_traces(
 
     Their mean over molecules is b + A·exp(−kt): b gives the background, k the bleaching rate, A (by comparison
     with the simulation) the brightness. The spread of brightness is what the slow variation between molecules
-    (covariance of successive frames about the mean course) needs beyond the simulation.
+    (covariance of successive frames about the mean course) needs beyond the simulation; where it needs less, part
+    of A is put into a background that fades smoothly (many dim molecules instead of a bright one).
     """
     from scipy.optimize import curve_fit
 
@@ -78,16 +79,51 @@ def fit_raw_traces(
         return np.asarray(b + a * np.exp(-k * t))
 
     start = (max(course.min() * 0.9, 1e-3), max(np.ptp(course), 1e-3), 1.0)
-    b, _, k = curve_fit(curve, t, course, p0=start, bounds=((0, 0, 0), (max(course.max(), 1e-2), np.inf, 20)))[0]
+    b, a, k = curve_fit(curve, t, course, p0=start, bounds=((0, 0, 0), (max(course.max(), 1e-2), np.inf, 20)))[0]
     fitted = _with_background(model, float(b), values)
     fitted = _with_bleaching(fitted, float(k) / (n_frames * model.acquisition.interval_s), values)
-    for _ in range(rounds):
+    a, k = float(a), float(k)
+    remaining = float(np.mean(np.exp(-k * t)))
+    for i in range(rounds + 2):
         made: NDArray[np.float64] = np.asarray(simulate(fitted), dtype=np.float64)
-        signal = float(made.mean() - b)
-        fitted = _brightened(fitted, float(course.mean() - b) / signal if signal > 0 else 2.0, values)
-        excess = _slow_variance(measured) - _slow_variance(made)
-        fitted = _with_spread(fitted, excess / max(float(course.mean() - b), 1e-9) ** 2, values)
+        per_molecule = float(made.mean() - _background_e(fitted) * _mean_background(fitted)) / remaining
+        if per_molecule <= 0:
+            fitted = _brightened(fitted, 2.0, values)
+            continue
+        wanted = a
+        if i > 0:  # the first round only brings the brightness to A
+            slow_made = max(_slow_variance(made), 1e-9)
+            missing = _slow_variance(measured) - slow_made
+            wanted = min(a, per_molecule * float(np.sqrt(max(1 + missing / slow_made, 0.01))))
+            if wanted == a and missing > 0:
+                fitted = _with_spread(fitted, missing / (a * remaining) ** 2, values)
+        fitted = _brightened(fitted, wanted / per_molecule, values)
+        fitted = _with_fading(fitted, float(b), a - wanted, k, values)
     return Fit(fitted, values)
+
+
+def _mean_background(model: Model) -> float:
+    """Mean over the movie of the background relative to its start, as `_with_fading` has set it."""
+    fading = next((e for e in model.effects if e.kind == "background_decay"), None)
+    if fading is None:
+        return 1.0
+    progress = np.linspace(0.0, 1.0, model.acquisition.n_frames)
+    left = np.exp(-progress / fading.time_constant_movies)  # type: ignore[attr-defined]
+    return float(np.mean(1 - fading.fraction + fading.fraction * left))  # type: ignore[attr-defined]
+
+
+def _with_fading(model: Model, constant_e: float, fading_e: float, rate: float, values: dict[str, float]) -> Model:
+    """A background of a constant and a fading part; `rate` per movie."""
+    model = _with_background(model, constant_e + fading_e, values)
+    fraction = fading_e / (constant_e + fading_e)
+    values["background_decay.fraction"] = fraction
+    effect = {"kind": "background_decay", "fraction": fraction, "time_constant_movies": 1 / max(rate, 1e-3)}
+    return model.with_effects(effect_from_data(effect))
+
+
+def _background_e(model: Model) -> float:
+    camera = model.camera
+    return camera.quantum_efficiency * model.optics.background_photons_per_px + camera.clock_induced_charge_e
 
 
 def fit_gain(traces_adu: NDArray[np.floating], model: Model) -> tuple[Model, float]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa import camera as detector
 from napari_mufasa.compare.baselines import poisson_emission, sofi_emission, two_state_of
+from napari_mufasa.errors import MufasaError
 from napari_mufasa.model import Model
 from napari_mufasa.simulation import Acquisition
 from napari_mufasa.streams import Streams
@@ -72,55 +73,66 @@ def extract_simulated(
     return extract_traces(movie, camera, options=options, positions_px=positions_px, cancel=cancel)
 
 
-@dataclass(frozen=True)
 class FarApart:
     """Molecules far from each other, each anywhere within its pixel: how traces without a movie are simulated.
 
-    positions_px : (molecule, 2); shape_px : the field that holds them; brightening : factor on the light, so
-    that a pixel holds the share of it that was asked for
+    Traces of the brightest pixel with its background need no image: every molecule is one pixel that receives
+    its share of the light. Others are recorded in a field with room for the background rings.
+
+    Parameters
+    ----------
+    sigma_px : PSF width; n_molecules; seed : of the places within the pixels
+    options : profile and background of the traces, as extraction has them
+    pixel_share : share of a molecule's light in its brightest pixel (None: that of the PSF; 1: a detector that
+        collects a molecule in one pixel); for brightest-pixel traces with background only
     """
 
-    positions_px: NDArray[np.float64]
-    shape_px: tuple[int, int]
-    brightening: float = 1.0
+    def __init__(
+        self, sigma_px: float, n_molecules: int, options: Options, seed: int, pixel_share: float | None = None
+    ) -> None:
+        self.options = options
+        self.one_pixel = options.profile == "brightest_pixel" and not options.subtract_background
+        if pixel_share is not None and not (self.one_pixel and 0 < pixel_share <= 1):
+            raise MufasaError(
+                f"pixel_share = {pixel_share}: a share in 0 … 1 for brightest-pixel traces with their background"
+            )
+        index = np.arange(n_molecules, dtype=np.float64)
+        self.positions_px: NDArray[np.float64]
+        offset = Streams(seed).of("place in the pixel").uniform(-0.5, 0.5, (n_molecules, 2))
+        if self.one_pixel:
+            shares = pixel_shares(offset[:, 0], offset[:, 1], sigma_px)
+            self.shares = shares if pixel_share is None else np.full(n_molecules, float(pixel_share))
+            self.shape_px = (1, n_molecules)
+            self.positions_px = np.stack([np.zeros(n_molecules), index], axis=1)
+            return
+        spacing = int(np.ceil(8 * sigma_px)) + 3
+        if options.subtract_background:
+            spacing += int(np.ceil(2 * max(3.0, 2 * sigma_px)))
+        columns = int(np.ceil(np.sqrt(n_molecules)))
+        rows = -(-n_molecules // columns)
+        self.shape_px = (rows * spacing, columns * spacing)
+        self.positions_px = np.stack(np.divmod(index, columns), axis=1) * spacing + spacing // 2 + offset
 
-    def model(self, model: Model) -> Model:
-        """The model in this field."""
+    def acquisitions(self, model: Model, seed: int) -> dict[str, Acquisition]:
+        """The model and the baselines in this field."""
         maps = {"offset_map_adu": None, "gain_map": None, "variance_map_e2": None}
         camera = model.camera.model_copy(update=maps)  # maps belong to the real field
         acquisition = model.acquisition.model_copy(update={"shape_px": self.shape_px})
-        factor = model.optics.brightness_correction * self.brightening
-        optics = model.optics.model_copy(update={"brightness_correction": factor})
-        return model.model_copy(update={"camera": camera, "acquisition": acquisition, "optics": optics})
+        here = model.model_copy(update={"camera": camera, "acquisition": acquisition})
+        return acquisitions(here, self.positions_px, seed)
 
-    def acquisitions(self, model: Model, seed: int) -> dict[str, Acquisition]:
-        return acquisitions(self.model(model), self.positions_px, seed)
-
-    def traces(self, acquisition: Acquisition, options: Options, cancel: Cancel | None = None) -> NDArray[np.float32]:
+    def traces(self, acquisition: Acquisition, cancel: Cancel | None = None) -> NDArray[np.float32]:
         """(molecule, frame) photoelectrons at the known positions."""
-        return extract_simulated(acquisition, options, self.positions_px, cancel).all_traces
-
-
-def far_apart(
-    sigma_px: float, n_molecules: int, options: Options, seed: int, pixel_share: float | None = None
-) -> FarApart:
-    """n molecules so far apart that neither light nor background rings overlap.
-
-    With `pixel_share`, molecules sit at pixel centres and are brightened so that this share of a molecule's
-    light falls in its brightest pixel (1: a detector that collects a molecule in one pixel).
-    """
-    spacing = int(np.ceil(8 * sigma_px)) + 3
-    if options.subtract_background:
-        spacing += int(np.ceil(2 * max(3.0, 2 * sigma_px)))
-    columns = int(np.ceil(np.sqrt(n_molecules)))
-    rows = -(-n_molecules // columns)
-    place = np.stack(np.divmod(np.arange(n_molecules), columns), axis=1) * float(spacing) + spacing // 2
-    if pixel_share is not None:
-        zero = np.zeros(1)
-        return FarApart(place, (rows * spacing, columns * spacing), pixel_share / _share_at(zero, sigma_px))
-    place = place + Streams(seed).of("place in the pixel").uniform(-0.5, 0.5, place.shape)
-    return FarApart(place, (rows * spacing, columns * spacing))
-
-
-def _share_at(offset_px: NDArray[np.float64], sigma_px: float) -> float:
-    return float(pixel_shares(offset_px, offset_px, sigma_px)[0])
+        if not self.one_pixel:
+            return extract_simulated(acquisition, self.options, self.positions_px, cancel).all_traces
+        scene, optics = acquisition.scene, acquisition.model.optics
+        share = optics.collection_efficiency * optics.brightness_correction * scene.brightness
+        light = np.zeros((scene.n_frames, 1, len(self.positions_px)), np.float32)
+        for photons, column in zip(acquisition.emission * share[:, None], scene.positions_px[:, 1], strict=True):
+            light[:, 0, round(column)] += photons  # several emitters may share a pixel
+        light *= self.shares.astype(np.float32)
+        course = (scene.light * scene.background).astype(np.float32)
+        light += course[:, None, None] * scene.background_map().astype(np.float32)
+        frames = np.arange(scene.n_frames)
+        adu = detector.expose(light, acquisition.model.camera, scene.streams, frames, scene.sensor)
+        return detector.photoelectrons(adu, acquisition.model.camera)[:, 0].T
