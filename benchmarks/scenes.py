@@ -49,7 +49,7 @@ def spots(rng: np.random.Generator, frames: int = FRAMES, side: int = SIDE) -> S
 
 
 def filaments(rng: np.random.Generator, frames: int = FRAMES, side: int = SIDE) -> Stack:
-    """Labelled filaments whose emitters blink, 99.5th percentile 1; measured tubulin positions where they are present."""
+    """Filaments whose emitters blink, 99.5th percentile 1; measured tubulin positions where they are present."""
     table = REAL_DATA / "tubulin_positions_nm.csv.gz"
     if table.exists():
         nm = np.loadtxt(table, delimiter=",")[:, :2]

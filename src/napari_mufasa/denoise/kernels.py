@@ -149,14 +149,24 @@ def threshold_terms(
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _difference(out: Array, a: Array, dr: int, dc: int, sign: float) -> None:
-    """Add a[place - (dr, dc)] + sign * a[place + (dr, dc)] where both exist."""
-    rows, cols = a.shape
-    factor = np.float32(sign)
-    for r in range(abs(dr), rows - abs(dr)):
-        for c in range(abs(dc), cols - abs(dc)):
-            out[r, c] += a[r - dr, c - dc] + factor * a[r + dr, c + dc]
+@njit(cache=True, inline="always", fastmath=True)
+def _predict(
+    d: Array, s: Array, r: int, c: int, up: int, down: int, left: int, right: int, fv: Any, fh: Any, flat: bool
+) -> tuple[Any, Any, Any, Any, Any, Any, Any, Any, Any]:
+    """Three predictions of each of the three details at one block; ``fv``, ``fh`` are 0 where a side is missing."""
+    across_a = fh * (s[r, left] - s[r, right])
+    beside_a = fh * (d[0, r, left] + d[0, r, right])
+    if flat:
+        return across_a, ZERO, ZERO, ZERO, ZERO, ZERO, beside_a, ZERO, ZERO
+    both = fv * fh
+    across_b = fv * (s[up, c] - s[down, c])
+    across_e = both * (s[up, left] + s[down, right] - s[up, right] - s[down, left])
+    along_a = fv * (d[0, up, c] + d[0, down, c])
+    along_b = fh * (d[1, r, left] + d[1, r, right])
+    along_e = both * (d[2, up, left] + d[2, down, right] + d[2, up, right] + d[2, down, left])
+    beside_b = fv * (d[1, up, c] + d[1, down, c])
+    beside_e = fv * (d[2, up, c] + d[2, down, c]) + fh * (d[2, r, left] + d[2, r, right])
+    return across_a, across_b, across_e, along_a, along_b, along_e, beside_a, beside_b, beside_e
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -164,43 +174,48 @@ def predictions(d: Array, s: Array, length: int, flat: bool) -> Array:
     """Predictions of the details from the blocks one ``length`` away, (prediction, band, rows, cols).
 
     Across scales: the difference of the block sums on both sides, a detail of the next coarser kind. Within the band:
-    the details beside, along the edge that a detail means, and across it. None contains a pixel of the block itself.
+    the details along the edge that a detail means, and those across it. None contains a pixel of the block itself.
     """
-    out = np.zeros((PREDICTIONS, *d.shape), d.dtype)
-    n = length
-    _difference(out[0, 0], s, 0, n, -1.0)
-    _difference(out[2, 0], d[0], 0, n, 1.0)
-    if flat:
-        return out
-    _difference(out[1, 0], d[0], n, 0, 1.0)
-    _difference(out[0, 1], s, n, 0, -1.0)
-    _difference(out[1, 1], d[1], 0, n, 1.0)
-    _difference(out[2, 1], d[1], n, 0, 1.0)
-    _difference(out[0, 2], s, n, n, 1.0)
-    out[0, 2] *= np.float32(-1.0)
-    _difference(out[0, 2], s, n, -n, 1.0)
-    out[0, 2] *= np.float32(-1.0)
-    _difference(out[1, 2], d[2], n, n, 1.0)
-    _difference(out[1, 2], d[2], n, -n, 1.0)
-    _difference(out[2, 2], d[2], n, 0, 1.0)
-    _difference(out[2, 2], d[2], 0, n, 1.0)
+    rows, cols = s.shape
+    out = np.zeros((PREDICTIONS, 3, rows, cols), d.dtype)
+    for r in range(rows):
+        fv = ONE if length <= r < rows - length else ZERO
+        up, down = max(r - length, 0), min(r + length, rows - 1)
+        for c in range(cols):
+            fh = ONE if length <= c < cols - length else ZERO
+            left, right = max(c - length, 0), min(c + length, cols - 1)
+            p = _predict(d, s, r, c, up, down, left, right, fv, fh, flat)
+            for o in range(3):
+                out[0, o, r, c], out[1, o, r, c], out[2, o, r, c] = p[o], p[3 + o], p[6 + o]
     return out
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def combine(d: Array, bump: Array, narrow: Array, wide: Array, predicted: Array, w: Array) -> None:
-    """Replace the details by the weighted sum of their spatial candidates."""
-    bands, rows, cols = d.shape
+def combine(d: Array, s: Array, bump: Array, narrow: Array, wide: Array, w: Array, length: int, flat: bool) -> Array:
+    """The weighted sum of a level's spatial candidates, (3, rows, cols)."""
+    rows, cols = s.shape
+    out = np.empty((3, rows, cols), d.dtype)
     w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
     a0, a1, b0, b1, c0, c1 = w[6], w[7], w[8], w[9], w[10], w[11]
+    inner = max(cols - length, length)
     for r in range(rows):
-        for c in range(cols):
-            g, h = narrow[r, c], wide[r, c]
-            factor = (w0 + w1 * g + w2 * h) + bump[r, c] * (w3 + w4 * g + w5 * h)
-            pa, pb, pc = a0 + a1 * g, b0 + b1 * g, c0 + c1 * g
-            for o in range(bands):
-                value = factor * d[o, r, c] + pa * predicted[0, o, r, c]
-                d[o, r, c] = value + pb * predicted[1, o, r, c] + pc * predicted[2, o, r, c]
+        fv = ONE if length <= r < rows - length else ZERO
+        up, down = max(r - length, 0), min(r + length, rows - 1)
+        # Three runs of columns, so that the long middle one has no case to tell apart.
+        for part in range(3):
+            first = (0, min(length, cols), min(inner, cols))[part]
+            last = (min(length, cols), min(inner, cols), cols)[part]
+            fh = ONE if part == 1 else ZERO
+            reach = length if part == 1 else 0
+            for c in range(first, last):
+                p = _predict(d, s, r, c, up, down, c - reach, c + reach, fv, fh, flat)
+                g = narrow[r, c]
+                factor = (w0 + w1 * g + wide[r, c] * w2) + bump[r, c] * (w3 + w4 * g + wide[r, c] * w5)
+                pa, pb, pc = a0 + a1 * g, b0 + b1 * g, c0 + c1 * g
+                out[0, r, c] = factor * d[0, r, c] + pa * p[0] + pb * p[3] + pc * p[6]
+                out[1, r, c] = factor * d[1, r, c] + pa * p[1] + pb * p[4] + pc * p[7]
+                out[2, r, c] = factor * d[2, r, c] + pa * p[2] + pb * p[5] + pc * p[8]
+    return out
 
 
 @njit(cache=True, fastmath=True, nogil=True)

@@ -24,7 +24,7 @@ Method = Literal["pure-let", "pure-let-movie", "source", "none"]
 #: Frames read, denoised and written together.
 BLOCK = 16
 #: Frames whose pooled risk sets the weights of a movie.
-SAMPLES = 12
+SAMPLES = 16
 #: Frames in work at once.
 WORKERS = max(1, min(4, os.cpu_count() or 1))
 
@@ -44,8 +44,8 @@ def denoise(
     Parameters
     ----------
     movie : array (frame, y, x) or (y, x), ADU
-        numpy, dask or zarr; read in blocks of `BLOCK` frames, so the peak memory is about
-        40 x the bytes of one float32 frame plus the result (or nothing more, with ``out`` on disk).
+        numpy, dask or zarr; read in blocks of `BLOCK` frames and their neighbours. Peak memory: about 60 float32
+        frames per block plus 60 per worker thread (4 at most), and the result unless ``out`` is on disk.
     camera : Camera
         Gain, read noise, baseline, quantum efficiency and maps.
     method : str

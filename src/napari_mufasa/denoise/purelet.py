@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 Method = Literal["undecimated", "cycle-spinning"]
 
 #: Side of the windows (pixels) that carry the risk estimate, and how many of them one image needs at most.
-WINDOW = 128
-MAX_WINDOWS = 8
+WINDOW = 192
+MAX_WINDOWS = 4
 LEVELS = 5
 NO_GUIDES: list[Any] = []
 NO_GUIDE_NOISE = np.zeros(0, np.float32)

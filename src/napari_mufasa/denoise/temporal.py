@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 #: Windows that settle the weights of a movie; taken with a stride that visits all of a frame's windows.
-ENOUGH_WINDOWS = 24
+ENOUGH_WINDOWS = 16
 STRIDE = 7
 NEIGHBOURS = 5
 
