@@ -217,7 +217,7 @@ def test_what_is_still_off_is_told(monkeypatch):
     off = report()
     table = off.observables.copy()
     table.loc[9, "z_after"] = 6.4
-    assert "1 of 10 observables stay more than 3" in html_report.render(dataclasses.replace(off, observables=table))
+    assert "1 of 10 observables stays more than 3" in html_report.render(dataclasses.replace(off, observables=table))
 
 
 def test_export_writes_every_file_whole(tmp_path, monkeypatch):

@@ -48,12 +48,12 @@ def diagnosis_drawings(report: Report, traces: NDArray[Any] | None = None) -> li
         ),
         Drawing(
             "evidence", "How much of the misfit each effect explains.",
-            (6.4, 0.9 + 0.36 * max(1, min(8, len(report.ranking)))),
+            (6.4, 1.0 + 0.36 * max(1, min(8, len(report.ranking)))),
             lambda f: plotting.evidence(f.add_subplot(), report.ranking),
         ),
         Drawing(
             "observables", "The observables farthest from the base model, before and after.",
-            (6.4, 0.9 + 0.32 * max(1, min(10, len(report.observables)))),
+            (6.4, 1.2 + 0.32 * max(1, min(10, len(report.observables)))),
             lambda f: plotting.z_scores(f.add_subplot(), report.observables),
         ),
     ]  # fmt: skip

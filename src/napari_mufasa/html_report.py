@@ -47,7 +47,7 @@ def render(
         *(_effect(candidate, figures.pop(f"strength_{candidate.effect}", "")) for candidate in chosen),
         *([] if chosen else [_nothing_added(report)]),
         *opening,
-        "<h2>Where the model fails</h2>",
+        "<h2>The observables</h2>",
         figures.pop("observables", ""),
         _observables(report),
         "<h2>What is still off</h2>",
@@ -135,7 +135,7 @@ def _still_off(report: Report) -> str:
     order = off["z_after"].abs().sort_values(ascending=False).index
     rows = "".join(_row(row) for _, row in off.loc[order[:12]].iterrows())
     return (
-        f"<p>{len(off)} of {len(report.observables)} observables stay more than 3 standard deviations off.</p>"
+        f"<p>{len(off)} of {len(report.observables)} observables {'stays' if len(off) == 1 else 'stay'} more than 3 standard deviations off.</p>"
         f"<div class=wide><table>{_HEAD}{rows}</table></div>"
     )
 

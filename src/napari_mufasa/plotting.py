@@ -141,7 +141,7 @@ def staircase(ax: Axes, report: Report) -> None:
 def evidence(ax: Axes, ranking: Sequence[Candidate], threshold: float | None = None, top: int = 8) -> None:
     """Bars of evidence per effect; the best and those that cannot be told from it stand out."""
     p = _palette.get()
-    shown = list(ranking[:top])[::-1]
+    shown = list(ranking[: min(top, _fitting_rows(ax))])[::-1]
     if not shown:
         return _empty(ax, "no effect was tried")
     best = ranking[0]
@@ -149,6 +149,7 @@ def evidence(ax: Axes, ranking: Sequence[Candidate], threshold: float | None = N
     rival = [c.effect in alike and c is not best for c in shown]
     colours = [p.after if c is best else p.before if r else p.muted for c, r in zip(shown, rival, strict=True)]
     values = [max(float(c.evidence), 0.0) for c in shown]
+    ax.axvline(0, color=p.muted, lw=0.8)
     bars = ax.barh(range(len(shown)), values, color=colours, height=0.4)
     for bar, candidate in zip(bars, shown, strict=True):
         ax.annotate(
@@ -194,6 +195,7 @@ def curves(parent: Figure | SubFigure, shown: Sequence[Curve], columns: int = 2)
 def z_scores(ax: Axes, observables: pd.DataFrame, top: int = 10) -> None:
     """The observables the base model misses most: their distance in sd before and after."""
     p = _palette.get()
+    top = min(top, _fitting_rows(ax))
     order = observables["z_before"].abs().sort_values(ascending=False).index[:top][::-1]
     table = observables.loc[order]
     if table.empty:
@@ -201,15 +203,16 @@ def z_scores(ax: Axes, observables: pd.DataFrame, top: int = 10) -> None:
     y = np.arange(len(table))
     before, after = table["z_before"].to_numpy(float), table["z_after"].to_numpy(float)
     ax.axvspan(-3, 3, color=p.grid, alpha=0.7, lw=0, label="as expected (± 3 sd)")
+    ax.axvline(0, color=p.muted, lw=0.8, zorder=0)
     ax.hlines(y, before, after, color=p.muted, lw=1)
     ax.plot(before, y, "o", color=p.before, ms=5, label="base model")
     ax.plot(after, y, "o", color=p.after, ms=5, label="completed model")
-    _rows(ax, [str(title) for title in table["title"]])
+    _rows(ax, [str(title)[:1].upper() + str(title)[1:] for title in table["title"]])
     if np.nanmax(np.abs(before)) > 50:
         ax.set_xscale("symlog", linthresh=5)
     ax.set_xlabel("measured − model (sd)")
     _title(ax, "Where the model fails")
-    _legend(ax, loc="lower right")
+    _common_legend(ax.get_figure(root=False), [ax])
 
 
 def strengths(parent: Figure | SubFigure, candidate: Candidate) -> None:
@@ -402,6 +405,12 @@ def _fit(ax: Axes, columns: int = 1) -> int:
     return max(8, int(width_in * 15 / columns))
 
 
+def _fitting_rows(ax: Axes) -> int:
+    """How many rows with their names above them fit the height."""
+    parent: Any = ax.get_figure(root=False)
+    return max(3, int((float(parent.bbox.height) / float(ax.figure.dpi) - 0.9) / 0.27))
+
+
 def _title(ax: Axes, text: str) -> None:
     ax.set_title(textwrap.fill(text, _fit(ax)) if text else "")
 
@@ -419,13 +428,14 @@ def _rows(ax: Axes, labels: Sequence[str]) -> None:
     for y, label in enumerate(labels):
         ax.annotate(
             " " + label, (0, y + 0.24), xycoords=ax.get_yaxis_transform(), va="bottom", fontsize=7.5,
-            color=p.text, bbox=box,
+            color=p.text, bbox=box, zorder=1.5,
         )  # fmt: skip
     ax.set_yticks([])
+    ax.spines["left"].set_visible(False)
     ax.set_ylim(-0.6, len(labels) - 0.25)
 
 
-def _common_legend(parent: Figure | SubFigure, axes: Any) -> None:
+def _common_legend(parent: Any, axes: Any) -> None:
     if len(axes):
         handles, labels = max((ax.get_legend_handles_labels() for ax in axes), key=lambda pair: len(pair[1]))
         width_in = parent.bbox.width / parent.figure.dpi

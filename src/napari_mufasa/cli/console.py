@@ -66,7 +66,9 @@ def _bar(title: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bars:
+    # What a verb prints goes above the bar on a terminal, and where it was sent to when piped.
+    options: dict[str, Any] = {"transient": True, "redirect_stdout": sys.stdout.isatty()}
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), **options) as bars:
         task = bars.add_task(title, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
