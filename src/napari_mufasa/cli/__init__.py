@@ -34,7 +34,7 @@ def _run(arguments: list[str], debug: bool) -> int:
         result = app(spread_lists(arguments), prog_name="napari-mufasa", standalone_mode=False)
         sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt, Cancelled):
-        return _say("stopped; nothing was written", STOPPED)
+        return _say("stopped; nothing is half-written", STOPPED)
     except typer.Exit as leaving:
         return leaving.exit_code
     except MufasaError as error:
