@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from napari_mufasa.discover import fit, library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import Lead, Library, State
+from napari_mufasa.discover.library import Lead, Library, State, changed
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import Null
@@ -30,6 +30,7 @@ ALARM = 0.03  # false alarms wanted on an adequate model, evidence and misfit to
 MISFIT_ALARM = 0.01
 SECOND = 0.01  # stricter for every further effect
 FINALISTS = 5  # leads that are fitted by direct simulation
+FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
 
@@ -133,20 +134,11 @@ class Investigation:
         finalists = _finalists(leads)
         self.bench.plan(len(finalists) * fit.planned_simulations())
         self._tried = {kind: fit.refine(self.library, self.state, leads[kind].start(), self.x) for kind in finalists}
-        before, floor = self.state.held_out_error(self.x), self.state.floor()
-        base_score = self.state.score(self.x)
         fitted = sorted(self._tried.items(), key=lambda item: item[1].score)
         self._ranking = []
         for kind, found in fitted:
             near = tuple(k for k, other in fitted if k != kind and abs(other.score - found.score) < NEAR)
-            after = found.state.held_out_error(self.x)
-            gain = max(base_score - found.score, 0.0)
-            self._ranking.append(
-                Candidate(
-                    kind, self.null.p_evidence(gain), gain, after, _share(before, after, floor),
-                    _parameters(found.effect), found.sd, near,
-                )
-            )  # fmt: skip
+            self._ranking.append(self._candidate(found, near))
         for kind, lead in leads.items():
             if kind not in self._tried:
                 p = self.null.p_evidence(lead.gain)
@@ -154,17 +146,32 @@ class Investigation:
         return self._ranking
 
     def add(self, what: str | Effect | Candidate) -> None:
-        """Fit an effect into the model as it stands, and keep it."""
+        """Fit an effect into the model as it stands, and keep it; where misfit is left, in its best form."""
         kind = what if isinstance(what, str) else what.effect if isinstance(what, Candidate) else what.kind
         _known(kind)
         if kind in self.chosen:
             raise MufasaError(f"{kind} is already in the model: undo it first, or add another effect")
-        if kind in self._tried and not isinstance(what, Effect):
-            found = self._tried[kind]
+        if isinstance(what, Effect):
+            found = fit.refine(self.library, self.state, what, self.x)
         else:
-            found = fit.refine(self.library, self.state, self._start(what, kind), self.x)
+            found = self._tried.get(kind) or fit.refine(self.library, self.state, self._start(kind), self.x)
+            found = self._best_form(found)
+        if not self._fits:  # the ranking tells of the base model: its entry becomes the form that was kept
+            entries = [
+                self._candidate(found, c.indistinguishable_from) if c.effect == kind else c for c in self._ranking
+            ]
+            self._ranking = entries
         self._fits.append(found)
         self._tried = {}
+
+    def _best_form(self, found: Fit) -> Fit:
+        """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""
+        if self.null.p_misfit(found.misfit) > FORM_MISFIT:
+            return found
+        others = [form for form in type(found.effect).forms() if form and form != getattr(found.effect, "form", "")]
+        self.bench.plan(len(others) * fit.planned_simulations())
+        tries = [fit.refine(self.library, self.state, changed(found.effect, {}, form=form), self.x) for form in others]
+        return min([found, *tries], key=lambda f: f.score)
 
     def undo(self) -> None:
         """Take the last effect out again."""
@@ -181,9 +188,15 @@ class Investigation:
 
     # Inside -------------------------------------------------------------------------------------------------
 
-    def _start(self, what: str | Effect | Candidate, kind: str) -> Effect:
-        if isinstance(what, Effect):
-            return what
+    def _candidate(self, found: Fit, near: tuple[str, ...]) -> Candidate:
+        """The case of a fitted effect against the model as it stands."""
+        before, after = self.state.held_out_error(self.x), found.state.held_out_error(self.x)
+        share = float(np.clip((before - after) / max(before - self.state.floor(), 1e-9), 0.0, 1.0))
+        gain = max(self.state.score(self.x) - found.score, 0.0)
+        p = self.null.p_evidence(gain)
+        return Candidate(found.effect.kind, p, gain, after, share, _parameters(found.effect), found.sd, near)
+
+    def _start(self, kind: str) -> Effect:
         leads = self.leads()
         if kind not in leads:
             raise MufasaError(f"{kind} was left out of this investigation: name it in `effects`")
@@ -256,10 +269,6 @@ def _finalists(leads: dict[str, Lead]) -> list[str]:
     order = list(leads)
     best = max(leads[order[0]].gain, 1.0) if order else 1.0
     return [k for i, k in enumerate(order[:FINALISTS]) if i < 2 or leads[k].gain > 0.25 * best]
-
-
-def _share(before: float, after: float, floor: float) -> float:
-    return float(np.clip((before - after) / max(before - floor, 1e-9), 0.0, 1.0))
 
 
 def _known(kind: str) -> type[Effect]:

@@ -237,10 +237,9 @@ def scaled(effect: Effect, scale: float) -> Effect:
     return changed(effect, {name: null + (float(getattr(effect, name)) - null) * scale})
 
 
-def changed(effect: Effect, values: dict[str, float]) -> Effect:
-    """The effect with parameters changed, kept within their hard limits."""
-    data = effect.model_dump(exclude={"kind"})
-    data.pop("kind", None)
+def changed(effect: Effect, values: dict[str, float], **choices: str) -> Effect:
+    """The effect with parameters changed, kept within their hard limits, and with other choices of form."""
+    data = {name: value for name, value in effect.model_dump().items() if name != "kind"} | choices
     for name, value in values.items():
         for limit in type(effect).model_fields[name].metadata:
             low = getattr(limit, "ge", getattr(limit, "gt", None))

@@ -221,21 +221,20 @@ def _map(table: Table, mean: Array, mask: NDArray[np.bool_]) -> None:
     """Tilt, bow and unevenness of the background, from 8 px tiles, relative to its mean."""
     height, width = mean.shape
     tile = 8
-    y, x, values = [], [], []
-    for r in range(0, height, tile):
-        for c in range(0, width, tile):
-            inside = mask[r : r + tile, c : c + tile]
-            if inside.sum() >= tile:
-                y.append(r + tile / 2)
-                x.append(c + tile / 2)
-                values.append(float(np.median(mean[r : r + tile, c : c + tile][inside])))
-    level = max(abs(float(np.mean(values))), 1e-6) if values else 1.0
-    relative = np.array(values) / level
-    half = max(height, width) / 2
-    v, u = (np.array(y) - height / 2) / half, (np.array(x) - width / 2) / half
-    if len(relative) < 6:
-        r2 = sy = sx = rest = 0.0
-    else:
+
+    def tiled(values: Array) -> Array:
+        rows = np.add.reduceat(values, np.arange(0, height, tile), axis=0)
+        return np.add.reduceat(rows, np.arange(0, width, tile), axis=1)
+
+    count = tiled(mask.astype(float))
+    ok = count >= tile
+    values = tiled(np.where(mask, mean, 0.0))[ok] / count[ok]
+    r2 = sy = sx = rest = 0.0
+    if len(values) >= 6:
+        row, column = np.nonzero(ok)
+        half = max(height, width) / 2
+        v, u = ((row + 0.5) * tile - height / 2) / half, ((column + 0.5) * tile - width / 2) / half
+        relative = values / max(abs(float(values.mean())), 1e-6)
         design = np.stack([v**2 + u**2, v, u, np.ones_like(v)], axis=1)
         solution = np.linalg.lstsq(design, relative, rcond=None)[0]
         r2, sy, sx = (float(s) for s in solution[:3])

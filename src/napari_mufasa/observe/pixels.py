@@ -64,15 +64,14 @@ def pixel_statistics(
     mean = s1 / n
     variance = s2 / n - mean**2
     third = s3 / n - 3 * mean * s2 / n + 2 * mean**3
-    first, last = movie[0] - baseline_adu, movie[-1] - baseline_adu
     return PixelStatistics(
         n_frames=n,
         mean=mean,
         variance=variance,
         skewness=third / np.maximum(variance, 1e-9) ** 1.5,
         step_variance=step / max(n - 1, 1),  # each half holds half of the n − 1 differences
-        lag1=_autocovariance(l1, s1, mean, first, last, n, 1),
-        lag2=_autocovariance(l2, s1, mean, first, last, n, 2),
+        lag1=_autocovariance(l1, s1, movie, baseline_adu, 1),
+        lag2=_autocovariance(l2, s1, movie, baseline_adu, 2),
         right=_inner(right, n) - mean[:-1, :-1] * mean[:-1, 1:],
         below=_inner(below, n) - mean[:-1, :-1] * mean[1:, :-1],
         row_sum=rows,
@@ -84,11 +83,14 @@ def pixel_statistics(
     )
 
 
-def _autocovariance(products: Array, total: Array, mean: Array, first: Array, last: Array, n: int, lag: int) -> Array:
-    # Edge frames are missing from the product sum once each; one frame's share is enough at lags 1 and 2.
-    pairs = max(n - lag, 1)
-    edge = lag * (first + last) / 2
-    result: Array = (products - mean * (2 * total - 2 * edge) + pairs * mean**2) / pairs
+def _autocovariance(products: Array, total: Array, movie: NDArray[np.uint16], baseline_adu: float, lag: int) -> Array:
+    """Mean of (v_t − mean)(v_{t−lag} − mean) from the sum of products: edge frames stand in one pair only."""
+    n = len(movie)
+    if n <= lag:
+        return np.zeros_like(total)
+    mean = total / n
+    edges = (movie[:lag].sum(axis=0) + movie[-lag:].sum(axis=0)) - 2.0 * lag * baseline_adu
+    result: Array = (products - mean * (2 * total - edges)) / (n - lag) + mean**2
     return result
 
 

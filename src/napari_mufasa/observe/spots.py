@@ -91,6 +91,8 @@ def follow(
     """Measure every spot in every frame; `scale` turns ADU into photoelectrons."""
     n_frames, height, width = movie.shape
     n = len(positions)
+    if n == 0:
+        return _nothing(path, n_frames, len(blocks))
     half = max(3, int(np.ceil(3 * sigma_px)))
     at = positions[:, None] + path[None]  # (molecule, block, 2)
     corner = np.rint(at).astype(np.int64) - half
@@ -121,6 +123,14 @@ def follow(
         shape_weight=np.stack([(amplitude * bright)[:, h].sum(axis=1) for h in halves], axis=1).reshape(n, 2),
         frame_shift=values[:, :, 1:3].transpose(1, 0, 2),
     )
+
+
+def _nothing(path: Array, n_frames: int, n_blocks: int) -> Spots:
+    none = np.zeros(0, dtype=bool)
+    return Spots(
+        np.zeros((0, 2)), np.zeros(0), path, np.zeros((0, n_frames)), none, none, np.zeros((0, n_blocks, 2)),
+        np.zeros((0, n_blocks)), np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((n_frames, 0, 2)),
+    )  # fmt: skip
 
 
 def _matched(images: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
@@ -172,6 +182,7 @@ def _weights(centre: Array, size: int, sigma_px: float) -> Array:
     Terms of the Taylor series of a Gaussian spot: G, −∂G, ½∂²G …, plus a constant. The derivatives beyond
     the shift are orthogonalised after the first four, so that light and shift keep their small variance.
     """
+    sigma_px = np.sqrt(sigma_px**2 + 1 / 12)  # a pixel's own width
     grid = np.arange(size)
     dy = grid - centre[..., 0, None]  # (molecule, block, size)
     dx = grid - centre[..., 1, None]

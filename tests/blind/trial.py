@@ -1,0 +1,160 @@
+"""The blind trial: hidden effects from the independent generator, diagnosed from movie, dark frames and model.
+
+    python -m tests.blind.trial --quick             a few minutes: short movies, one seed
+    python -m tests.blind.trial --seeds 5           the full trial; one line of JSON for each case as it ends
+    python -m tests.blind.trial --summary           the table of the cases already run
+
+The truth stays with this script; `diagnose` gets the movie, the dark frames and the believed model only.
+Results are appended to `trial.jsonl`, so that a stopped trial goes on where it was; `--write` stores the
+confusion table in docs/blind_trial.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import napari_mufasa as nm
+
+from . import generator
+
+ROOT = Path(__file__).parents[2]
+STRENGTHS = (0.4, 0.6, 0.8)  # "visible": 0.5 is clearly visible by the generator's own scale
+PAIRS = (
+    ("photobleaching", "stage_drift"), ("triplet_blinking", "background_decay"), ("laser_drift", "row_noise"),
+    ("illumination_profile", "hot_pixels"), ("focus_drift", "column_offset"), ("molecule_diffusion", "laser_flicker"),
+    ("delayed_activation", "image_lag"), ("brightness_heterogeneity", "baseline_drift"),
+    ("long_dark_state", "background_gradient"), ("astigmatism", "periodic_modulation"),
+)  # fmt: skip
+
+
+def cases(seeds: int, nulls: int, groups: set[str]) -> Iterator[dict[str, Any]]:
+    """All cases, seed by seed, so that a trial cut short is still balanced."""
+    for seed in range(seeds):
+        if "single" in groups:
+            for i, kind in enumerate(generator.EFFECTS):
+                strength = STRENGTHS[(seed + i) % len(STRENGTHS)]
+                yield {"group": "single", "effects": [[kind, strength]], "seed": 1000 + 37 * seed + i}
+        if "pair" in groups:
+            for i, pair in enumerate(PAIRS):
+                yield {"group": "pair", "effects": [[k, 0.5] for k in pair], "seed": 3000 + 37 * seed + i}
+        if "off" in groups:
+            for i, kind in enumerate(generator.OFF_CATALOGUE):
+                yield {"group": "off", "off": kind, "effects": [], "seed": 4000 + 37 * seed + i}
+        if "null" in groups:
+            for i in range(-(-nulls // seeds)):
+                yield {"group": "null", "effects": [], "seed": 2000 + 101 * seed + i}
+
+
+def run(case: dict[str, Any], base: str | None) -> dict[str, Any]:
+    """Make the movie, diagnose it without the truth, then compare."""
+    kinds = [kind for kind, _ in case["effects"]]
+    name = base or (generator.suitable_base(kinds[0]) if kinds else "emccd")
+    believed = generator.base_model(name)
+    n = 25 if name == "emccd_short" else 50
+    if case["group"] == "off":
+        hidden = generator.off_catalogue(believed, case["off"], case["seed"], n_molecules=n)
+    else:
+        hidden = generator.make(believed, effects=[tuple(e) for e in case["effects"]], seed=case["seed"], n_molecules=n)
+    report = nm.diagnose(hidden.movie, nm.Model.from_dict(believed), hidden.dark, seed=case["seed"])
+    ranking = [c.effect for c in report.ranking]
+    return case | {
+        "base": name,
+        "forms": [e["form"] for e in hidden.truth["effects"]],
+        "verdict": report.verdict,
+        "chosen": report.chosen,
+        "ranking": ranking[:5],
+        "error": {k: v for k, v in report.error.items() if k != "unit"},
+        "seconds": report.seconds,
+        "z": [f["observable"] for f in report.failing[:5]],
+    }
+
+
+def summary(results: list[dict[str, Any]]) -> str:
+    """The confusion table and the rates of DISCOVERY's targets, as Markdown."""
+    lines = []
+    groups = defaultdict(list)
+    for r in results:
+        groups[r["group"]].append(r)
+
+    def rate(rows: list[dict[str, Any]], test: Any) -> str:
+        hits = sum(bool(test(r)) for r in rows)
+        return f"{hits} / {len(rows)} ({hits / max(len(rows), 1):.0%})"
+
+    lines += ["| what | rate |", "|---|---|"]
+    if single := groups["single"]:
+        lines += [
+            f"| right effect first | {rate(single, lambda r: r['ranking'][:1] == [r['effects'][0][0]])} |",
+            f"| among the first three | {rate(single, lambda r: r['effects'][0][0] in r['ranking'][:3])} |",
+            f"| exactly the right set chosen | {rate(single, lambda r: r['chosen'] == [r['effects'][0][0]])} |",
+            f"| error after ≤ 1.25 × floor | {rate(single, _at_the_floor)} |",
+        ]
+
+    if groups["null"]:
+        lines.append(f"| nothing hidden: adequate | {rate(groups['null'], lambda r: r['verdict'] == 'adequate')} |")
+    if groups["off"]:
+        lines.append(
+            f"| off the catalogue: unexplained | {rate(groups['off'], lambda r: r['verdict'] == 'unexplained')} |"
+        )
+    if groups["pair"]:
+        both = lambda r: {k for k, _ in r["effects"]} <= set(r["chosen"])  # noqa: E731
+        lines.append(f"| two effects: both named | {rate(groups['pair'], both)} |")
+    lines += ["", "| hidden | cases | first | chosen | error before → after (floor) |", "|---|---|---|---|---|"]
+    table = defaultdict(list)
+    for r in results:
+        table[r.get("off") or " + ".join(k for k, _ in r["effects"]) or "nothing"].append(r)
+    for hidden, rows in table.items():
+        first = Counter(r["ranking"][0] if r["ranking"] else r["verdict"] for r in rows)
+        chosen = Counter(" + ".join(r["chosen"]) or r["verdict"] for r in rows)
+        mean = [sum(r["error"][k] for r in rows) / len(rows) for k in ("before", "after", "floor")]
+        lines.append(
+            f"| {hidden} | {len(rows)} | {_counted(first)} | {_counted(chosen)} | "
+            f"{mean[0]:.2f} → {mean[1]:.2f} ({mean[2]:.2f}) |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _at_the_floor(result: dict[str, Any]) -> bool:
+    return bool(result["error"]["after"] <= 1.25 * result["error"]["floor"])
+
+
+def _counted(counter: Counter[str]) -> str:
+    return ", ".join(f"{name} {n}" if n > 1 else name for name, n in counter.most_common())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--nulls", type=int, default=40)
+    parser.add_argument("--base", help="one base model for all cases, e.g. emccd_short")
+    parser.add_argument("--groups", default="single,null,pair,off")
+    parser.add_argument("--quick", action="store_true", help="short movies, one seed, five nulls, no pairs")
+    parser.add_argument("--results", type=Path, default=ROOT / "build" / "trial.jsonl")
+    parser.add_argument("--summary", action="store_true")
+    parser.add_argument("--write", action="store_true", help="store the table in docs/blind_trial.md")
+    options = parser.parse_args()
+    if options.quick:
+        options.seeds, options.nulls, options.base, options.groups = 1, 5, "emccd_short", "single,null"
+    options.results.parent.mkdir(parents=True, exist_ok=True)
+    done = [json.loads(line) for line in options.results.open()] if options.results.exists() else []
+    finished = {(r["group"], r["seed"], r.get("off")) for r in done}
+    if not options.summary:
+        for case in cases(options.seeds, options.nulls, set(options.groups.split(","))):
+            if (case["group"], case["seed"], case.get("off")) in finished:
+                continue
+            done.append(run(case, options.base))
+            with options.results.open("a") as file:
+                file.write(json.dumps(done[-1]) + "\n")
+            print(json.dumps(done[-1]), flush=True)
+    text = summary(done)
+    print(text)
+    if options.write:
+        (ROOT / "docs" / "blind_trial.md").write_text("# Blind trial\n\n`make blind` wrote this table.\n\n" + text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""The parts a diagnosis is made of, on cases whose answer is known."""
+
+import numpy as np
+import pytest
+
+import napari_mufasa as nm
+from napari_mufasa.discover import metric, nuisance
+from napari_mufasa.discover.library import Ray, State, changed, ray_settings, scaled
+from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
+from napari_mufasa.discover.null import Null
+from napari_mufasa.effects import catalogue, effect_class
+
+
+def test_whitening_makes_correlated_noise_white():
+    rng = np.random.default_rng(0)
+    mixing = rng.standard_normal((6, 6)) * 0.4 + np.eye(6)
+    z = rng.standard_normal((4000, 6)) @ mixing.T
+    z /= z.std(axis=0)
+    white = z @ metric.whitener(metric.shrunk_correlation(z, weight=0.0)).T
+    np.testing.assert_allclose(np.cov(white.T), np.eye(6), atol=0.1)
+
+
+def test_shrinkage_is_strong_for_few_samples_and_weak_for_many():
+    rng = np.random.default_rng(1)
+    common = rng.standard_normal((5000, 1))
+    z = 0.7 * common + 0.7 * rng.standard_normal((5000, 20))
+    few, many = metric.shrunk_correlation(z[:25]), metric.shrunk_correlation(z)
+    off = ~np.eye(20, dtype=bool)
+    assert abs(many[off].mean() - 0.5 * 0.85) < 0.05  # never less than 15 % shrinkage
+    assert few[off].mean() < many[off].mean() + 0.1
+
+
+def test_soften_is_linear_for_noise_and_tames_outliers():
+    assert metric.soften(np.array([1.0]))[0] == pytest.approx(1.0, rel=0.01)
+    assert metric.soften(np.array([1000.0]))[0] < 50
+    np.testing.assert_allclose(metric.stretch(metric.soften(np.array([-300.0, 0.5, 70.0]))), [-300.0, 0.5, 70.0])
+
+
+def test_profile_recovers_known_moves():
+    rng = np.random.default_rng(2)
+    jacobian = rng.standard_normal((30, 3)) * 5
+    moves = np.array([0.3, -0.2, 0.5])
+    x = jacobian @ moves + rng.standard_normal(30)
+    found = metric.profile(x, np.zeros(30), np.ones(30), jacobian, np.full(3, 10.0), np.eye(30))
+    error = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    assert np.all(np.abs(found.moves - moves) < 4.5 * error)
+    assert found.chi2 < 60  # chi² of 27 degrees of freedom: 60 is beyond 2e-4
+
+
+def toy_state(p=25, free=1):
+    rng = np.random.default_rng(3)
+    model = nm.preset("FF")
+    slopes = np.zeros((3, p, free))
+    slopes[:, :4] = 3.0
+    return State(
+        model, np.zeros((3, p)), np.ones((3, p)), slopes, np.full(free, 2.0), np.stack([np.eye(p)] * 3),
+        rng.standard_normal((10, 3, p)), ("optics.brightness_correction",) * free,
+    )  # fmt: skip
+
+
+def test_screen_finds_the_ray_that_made_the_data_and_is_not_fooled_by_nuisance():
+    state, rng = toy_state(), np.random.default_rng(4)
+    drift, flicker = effect_class("stage_drift")(), effect_class("laser_flicker")()
+    one, two = np.zeros((3, 25)), np.zeros((3, 25))
+    one[:, 5:9], two[:, 12:15] = 8.0, 8.0
+    rays = {"stage_drift": [Ray(drift, one)], "laser_flicker": [Ray(flicker, two)]}
+    noise = rng.standard_normal((3, 25))
+    leads = state.screen(noise + 0.7 * one, rays)
+    assert leads["stage_drift"].gain > 60 > 20 > leads["laser_flicker"].gain
+    assert leads["stage_drift"].scale == 0.7
+    nuisance_only = state.screen(noise + state.slopes[:, :, 0] * 0.6, rays)
+    assert max(lead.gain for lead in nuisance_only.values()) < 8
+
+
+def test_held_out_error_is_one_for_noise_and_larger_for_a_shift():
+    state, rng = toy_state(p=200), np.random.default_rng(5)
+    # rms of 200 standard normals: 1 ± 0.05.
+    assert state.held_out_error(rng.standard_normal((3, 200))) == pytest.approx(1.0, abs=0.2)
+    assert state.floor() == pytest.approx(1.0, abs=0.1)
+    assert state.held_out_error(rng.standard_normal((3, 200)) + 3.0 * (np.arange(200) % 2)) > 1.8
+
+
+def test_null_laws_fit_their_own_samples():
+    rng = np.random.default_rng(6)
+    evidence, misfit = rng.gumbel(5, 3, 4000), rng.gamma(40, 2, 4000)
+    null = Null.of(evidence, misfit)
+    for p in (0.05, 0.01):
+        assert null.p_evidence(null.evidence_at(p)) == pytest.approx(p)
+        assert null.p_misfit(null.misfit_at(p)) == pytest.approx(p)
+        # Binomial error of 4000 samples at 5 % is 0.35 %.
+        assert (evidence > null.evidence_at(p)).mean() == pytest.approx(p, abs=0.012)
+        assert (misfit > null.misfit_at(p)).mean() == pytest.approx(p, abs=0.012)
+
+
+def test_settings_of_every_effect_span_its_range_and_forms():
+    for kind, effect in catalogue().items():
+        settings = ray_settings(effect, np.random.default_rng(1))
+        assert all(type(s) is effect for s in settings), kind
+        low, high, _ = effect.plausible()[effect.strength]
+        values = [getattr(s, effect.strength) for s in settings]
+        assert low <= min(values) < max(values) <= high
+        assert {getattr(s, "form", "") for s in settings} == set(effect.forms()), kind
+
+
+def test_changed_effects_keep_their_limits():
+    drift = effect_class("stage_drift")(distance_px=2.0)
+    assert scaled(drift, 0.25).distance_px == 0.5
+    assert changed(drift, {"distance_px": -1.0}).distance_px == 0.0
+    assert changed(drift, {}, form="saturating").form == "saturating"
+    excess = effect_class("em_excess_noise")(excess_noise_factor=1.4)
+    assert scaled(excess, 0.5).excess_noise_factor == pytest.approx(1.7)  # half the way from 2
+
+
+def test_nuisance_values_are_those_the_model_has():
+    paths = {n.path for n in nuisance.nuisances(nm.preset("EGFP"))}
+    assert "optics.psf_fwhm_nm" in paths and "fluorophore.cycles_before_bleaching" not in paths
+    assert "fluorophore.isc_ratio" in {n.path for n in nuisance.nuisances(nm.preset("Blinking"))}
+    model = nm.preset("EGFP")
+    values = nuisance.nuisances(model)
+    moved = nuisance.apply(model, values, np.array([np.log(1.1)] + [0.0] * (len(values) - 1)))
+    assert moved.optics.brightness_correction == pytest.approx(1.1)
+
+
+def test_preparation_crops_large_movies_and_says_so():
+    model = nm.preset("EGFP")
+
+    class Lazy:
+        shape, dtype = (1000, 512, 512), np.dtype(np.uint16)
+
+        def __getitem__(self, key):
+            size = [s.stop - s.start for s in key]
+            assert np.prod(size) <= 1.05 * VOXELS, "only the crop may be read"
+            return np.arange(np.prod(size), dtype=np.uint16).reshape(size)
+
+    measurement = prepare(Lazy(), model)
+    assert len(measurement.movie) == FRAMES
+    assert measurement.model.acquisition.shape_px == measurement.movie.shape[1:]
+    assert len(measurement.notes) == 2
+
+
+@pytest.mark.parametrize(
+    ("movie", "message"),
+    [
+        (np.zeros((5, 5)), "needs a non-empty stack"),
+        (np.ones((10, 48, 48), np.uint16), "at least 20"),
+        (np.ones((50, 10, 10), np.uint16), "at least 24"),
+        (np.ones((50, 48, 48), np.uint16), "nothing was recorded"),
+        (np.full((50, 48, 48), np.nan), "not numbers"),
+        (np.full((50, 48, 48), -3.0), "raw counts"),
+        (np.full((50, 48, 48), "a"), "needs counts"),
+    ],
+)
+def test_unusable_movies_are_refused_in_one_line(movie, message):
+    with pytest.raises(nm.MufasaError, match=message) as error:
+        prepare(movie, nm.preset("EGFP"))
+    assert "\n" not in str(error.value)

@@ -1,0 +1,63 @@
+"""The table of observables: fixed names, states of traces, parts of the field."""
+
+import numpy as np
+
+import napari_mufasa as nm
+from napari_mufasa.observe import PARTS, checkerboard, observe
+from napari_mufasa.observe.summary import OnStates, _gap_lengths
+from napari_mufasa.observe.table import Table
+
+
+def small(n_frames=60, **values):
+    changes = {"acquisition.n_frames": n_frames, "acquisition.shape_px": (48, 48), "sample.n_molecules": 8}
+    return nm.preset("EGFP").with_values(
+        changes | {"excitation.power_density_w_per_cm2": 30, "camera.electrons_per_adu": 12.0} | values
+    )
+
+
+def test_the_same_names_whatever_the_movie_shows():
+    model = small()
+    dark = nm.simulate_dark(model, 20, seed=2)
+    rich = observe(nm.simulate(model, seed=1).movie, model, dark)
+    empty = observe(nm.simulate(small(**{"sample.n_molecules": 0}), seed=1).movie, model, dark)
+    assert rich.names == empty.names and len(rich.names) == len(set(rich.names)) > 90
+    assert rich.values.shape == (len(PARTS), len(rich.names))
+    assert np.isfinite(rich.values).all() and np.isfinite(empty.values).all()
+    assert set(rich.meanings) == set(rich.names)
+    no_dark = observe(nm.simulate(model, seed=1).movie, model)
+    assert no_dark.names == tuple(n for n in rich.names if not n.startswith("dark_"))
+
+
+def test_the_same_movie_gives_the_same_numbers():
+    model = small()
+    movie = nm.simulate(model, seed=1).movie
+    np.testing.assert_array_equal(observe(movie, model).values, observe(movie.astype(float), model).values)
+
+
+def test_parts_are_apart():
+    tiles = checkerboard((96, 80))
+    assert set(np.unique(tiles)) == {1, 2}
+    assert abs((tiles == 1).mean() - 0.5) < 0.1
+    model = small()
+    values = observe(nm.simulate(model, seed=1).movie, model).values
+    assert not np.allclose(values[1], values[2])
+
+
+def test_states_of_a_hand_made_trace():
+    light = np.zeros((1, 100))
+    light[0, 20:50] = 100.0
+    light[0, 60:80] = 100.0
+    states = OnStates.of(light)
+    assert abs(states.first[0] - 20) <= 2 and abs(states.last[0] - 79) <= 2
+    assert abs(states.level[0] - 100) < 15
+    gaps = _gap_lengths(states.on)
+    assert len(gaps) == 1 and abs(gaps[0] - 10) <= 3
+
+
+def test_table_keeps_order_and_never_holds_nan():
+    table = Table()
+    table.add("a", float("nan"), "t", "u", "w")
+    table.log("b", np.e, "t", "w")
+    table.count("c", 9.0, "t", "w")
+    assert table.values == {"a": 0.0, "b": 1.0, "c": 3.0}
+    assert table.meanings["b"].unit == "ln"

@@ -1,0 +1,77 @@
+"""The one-pass statistics are the plain ones."""
+
+import numpy as np
+import pytest
+
+from napari_mufasa.observe.pixels import COMB, block_means, pixel_statistics
+
+BASELINE = 100.0
+
+
+@pytest.fixture(scope="module")
+def movie():
+    rng = np.random.default_rng(3)
+    # Coloured in time, so that the lag statistics have something to find.
+    noise = rng.standard_normal((62, 12, 14))
+    noise[1:] += 0.6 * noise[:-1]
+    return np.rint(BASELINE + 40 + 9 * noise).astype(np.uint16)
+
+
+@pytest.fixture(scope="module")
+def label():
+    return (np.indices((12, 14)).sum(axis=0) % 3).astype(np.int8)
+
+
+def test_moments_are_numpys(movie, label):
+    found = pixel_statistics(movie, BASELINE, label, 2)
+    data = movie - BASELINE
+    np.testing.assert_allclose(found.mean, data.mean(0))
+    np.testing.assert_allclose(found.variance, data.var(0))
+    centred = data - data.mean(0)
+    np.testing.assert_allclose(found.skewness, (centred**3).mean(0) / data.var(0) ** 1.5, atol=1e-9)
+
+
+def test_covariances_in_time_and_space(movie, label):
+    found = pixel_statistics(movie, BASELINE, label, 2)
+    data = movie - BASELINE
+    centred = data - data.mean(0)
+    for lag, value in ((1, found.lag1), (2, found.lag2)):
+        np.testing.assert_allclose(value, (centred[lag:] * centred[:-lag]).mean(0), atol=1e-8)
+    np.testing.assert_allclose(found.right, (centred[:, :-1, :-1] * centred[:, :-1, 1:]).mean(0), atol=1e-8)
+    np.testing.assert_allclose(found.below, (centred[:, :-1, :-1] * centred[:, 1:, :-1]).mean(0), atol=1e-8)
+
+
+def test_step_variance_is_blind_to_a_slow_ramp(label):
+    rng = np.random.default_rng(1)
+    ramp = np.linspace(0, 300, 400)[:, None, None]
+    movie = np.rint(1000 + ramp + 10 * rng.standard_normal((400, 12, 14))).astype(np.uint16)
+    found = pixel_statistics(movie, BASELINE, label, 2)
+    # Mean of 168 pixels × 400 frames: relative standard error about 0.7 % for each half; rounding adds 1/12.
+    np.testing.assert_allclose(found.step_variance.mean(axis=(1, 2)), 100 + 1 / 12, rtol=0.04)
+    assert found.variance.mean() > 5000
+
+
+def test_sums_and_digits_by_part(movie, label):
+    found = pixel_statistics(movie, BASELINE, label, 2)
+    data = movie - BASELINE
+    for part in (1, 2):
+        inside = np.where(label == part, data, 0)
+        np.testing.assert_allclose(found.row_sum[part], inside.sum(axis=2))
+        np.testing.assert_allclose(found.column_sum[part], inside.sum(axis=1))
+        counts = np.bincount(movie[:, label == part].ravel() % COMB, minlength=COMB)
+        np.testing.assert_array_equal(found.comb[part], counts)
+
+
+def test_peak_is_found_and_the_second_is_elsewhere_in_time(label):
+    movie = np.full((30, 12, 14), 200, dtype=np.uint16)
+    movie[7, 3, 4] = 5000  # one hit
+    movie[5:9, 6, 6] = 4000  # several frames long
+    found = pixel_statistics(movie, BASELINE, label, 2)
+    assert found.peak[3, 4] == 4900 and found.second[3, 4] == 100
+    assert found.second[6, 6] == 3900
+
+
+def test_block_means_cover_every_frame_once(movie):
+    blocks = block_means(movie, 7)
+    sizes = np.diff(np.linspace(0, len(movie), 8).round().astype(int))
+    np.testing.assert_allclose((blocks * sizes[:, None, None]).sum(0), movie.sum(0), rtol=1e-5)

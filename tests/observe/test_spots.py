@@ -1,0 +1,92 @@
+"""Spots: found where they are; light, motion and width are measured without bias."""
+
+import numpy as np
+import pytest
+
+from napari_mufasa import optics
+from napari_mufasa.observe.pixels import block_means
+from napari_mufasa.observe.spots import common_path, find_spots, follow
+
+SIGMA, SCALE, BASELINE = 1.3, 0.1, 200.0
+SHAPE = (64, 64)
+
+
+def movie_of(light, positions, sigma=SIGMA, background=9.0, seed=0, frames=120):
+    """Poisson movie (frame, y, x) in ADU of spots (light per frame) at positions, possibly (frame, molecule, 2)."""
+    positions = np.asarray(positions, float)
+    positions = positions[None] if positions.ndim == 2 else positions
+    light = np.broadcast_to(light, (frames, positions.shape[1]))
+    sigmas = np.broadcast_to(np.atleast_2d(sigma), (frames, 2))
+    expected = optics.spot_images(light, positions, sigmas, SHAPE) + background
+    counts = np.random.default_rng(seed).poisson(expected)
+    return np.rint(counts / SCALE + BASELINE).astype(np.uint16)
+
+
+def grid():
+    return np.stack(np.meshgrid(np.arange(10.2, 60, 14), np.arange(9.7, 60, 14), indexing="ij"), -1).reshape(-1, 2)
+
+
+def measure(movie, blocks=10):
+    means = block_means(movie, blocks)
+    path, positions, significance = find_spots(means, SIGMA)
+    return follow(movie, means, BASELINE, SCALE, SIGMA, path, positions, significance)
+
+
+def match(found, truth):
+    distance = np.linalg.norm(found[:, None] - truth[None], axis=2)
+    return distance.min(axis=0), distance.argmin(axis=0)
+
+
+def test_every_spot_is_found_once_and_in_place():
+    spots = measure(movie_of(100.0, grid()))
+    assert len(spots.positions_px) == len(grid())
+    distance, _ = match(spots.positions_px, grid())
+    assert distance.max() < 0.3
+
+
+def test_an_empty_field_has_no_spots():
+    # The threshold is 6 sd on 4096 pixels × 4 images: about 2e-5 false spots expected.
+    assert len(measure(movie_of(0.0, grid())).positions_px) == 0
+
+
+def test_light_is_unbiased_and_background_does_not_matter():
+    for background in (2.0, 40.0):
+        spots = measure(movie_of(150.0, grid(), background=background, seed=4))
+        level = spots.light[spots.inside].mean()
+        # 16 molecules × 120 frames: standard error under 0.6 e⁻; the pixel's width is treated as a Gaussian's.
+        assert abs(level - 150) < 3
+
+
+def test_common_motion_is_followed_and_light_kept():
+    frames = 120
+    shift = np.linspace(0, 4.0, frames)[:, None, None] * np.array([0.6, -0.8])
+    spots = measure(movie_of(120.0, grid()[None] + shift, frames=frames))
+    np.testing.assert_allclose(spots.path_px[-1] - spots.path_px[0], 0.9 * 4.0 * np.array([0.6, -0.8]), atol=0.15)
+    lit = spots.light[spots.inside]
+    assert abs(lit[:, -12:].mean() / lit[:, :12].mean() - 1) < 0.04
+
+
+def test_own_motion_is_separate_from_common_motion():
+    frames, truth = 120, grid()
+    walk = np.zeros((frames, len(truth), 2))
+    walk[60:, 3, 0] = 0.6  # one molecule jumps
+    spots = measure(movie_of(150.0, truth[None] + walk, frames=frames))
+    _, index = match(spots.positions_px, truth)
+    moved = spots.displacement_px[index[3]]
+    assert abs(np.nanmean(moved[6:, 0]) - np.nanmean(moved[:4, 0]) - 0.6) < 0.1
+    others = np.delete(index, 3)
+    assert np.abs(np.nanmean(spots.displacement_px[others, 6:, 0] - spots.displacement_px[others, :4, 0].mean())) < 0.1
+
+
+@pytest.mark.parametrize(("sigma", "expected"), [((1.3, 1.3), (0.0, 0.0)), ((1.45, 1.3), (1.45**2 - 1.3**2, 0.0))])
+def test_width_change_is_measured_along_its_axis(sigma, expected):
+    spots = measure(movie_of(400.0, grid(), sigma=sigma, seed=2))
+    excess = spots.shape[spots.inside].sum(axis=(0, 1)) / spots.shape_weight[spots.inside].sum()
+    # The Taylor series is good to a few hundredths of a px² here.
+    np.testing.assert_allclose(excess[:2], expected, atol=0.08)
+    assert abs(excess[2]) < 0.05
+
+
+def test_common_path_of_still_images_is_still():
+    means = block_means(movie_of(100.0, grid()), 10)
+    assert np.abs(common_path(means)).max() < 0.1
