@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from napari_mufasa.compare import wasserstein
+    from napari_mufasa.compare.wasserstein import wasserstein
     from napari_mufasa.denoise import denoise, pure_let
     from napari_mufasa.discover import diagnose
     from napari_mufasa.effects import Effect

@@ -102,7 +102,7 @@ def _background(observation: Observation, frame_s: float) -> tuple[Array, Array]
 def _spectrum(observation: Observation) -> tuple[Array, Array]:
     course = observation.course / max(float(observation.course.mean()), 1e-9) - 1
     power = np.abs(np.fft.rfft(course * np.hanning(len(course))))[1:] ** 2 / len(course)
-    return np.fft.rfftfreq(len(course))[1:], power
+    return np.asarray(np.fft.rfftfreq(len(course))[1:], dtype=np.float64), power
 
 
 def _path(observation: Observation, frame_s: float) -> tuple[Array, Array]:

@@ -91,13 +91,15 @@ def checkerboard(shape: tuple[int, ...]) -> NDArray[np.int8]:
     """(y, x) of 1 and 2 in tiles."""
     size = max(4, int(np.ceil(max(shape) / TILES)))
     y, x = np.indices(shape)
-    return ((y // size + x // size) % 2 + 1).astype(np.int8)
+    tiles: NDArray[np.int8] = ((y // size + x // size) % 2 + 1).astype(np.int8)
+    return tiles
 
 
 def _counts(movie: NDArray[Any]) -> NDArray[np.uint16]:
     if movie.dtype == np.uint16:
         return np.ascontiguousarray(movie)
-    return np.clip(np.rint(movie), 0, 65535).astype(np.uint16)
+    counts: NDArray[np.uint16] = np.clip(np.rint(movie), 0, 65535).astype(np.uint16)
+    return counts
 
 
 def _near_spots(shape: tuple[int, ...], spots: Spots, reach_px: float) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ and their surroundings, 1 … background of a part of the field, so that parts c
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -50,7 +51,7 @@ class PixelStatistics:
 def block_means(movie: NDArray[Any], n_blocks: int) -> NDArray[np.float32]:
     """(block, y, x) means over successive, nearly equal blocks of frames."""
     edges = np.linspace(0, len(movie), n_blocks + 1).round().astype(int)
-    return np.stack([movie[a:b].mean(axis=0, dtype=np.float32) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    return np.stack([movie[a:b].mean(axis=0, dtype=np.float32) for a, b in itertools.pairwise(edges)])
 
 
 def pixel_statistics(
@@ -102,7 +103,7 @@ def _inner(products: Array, n: int) -> Array:
 def _kernel() -> Any:
     import numba
 
-    @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+    @numba.njit(cache=True, nogil=True, error_model="numpy")
     def kernel(movie, baseline, label, parts):  # type: ignore[no-untyped-def]
         n, height, width = movie.shape
         shape = (height, width)

@@ -81,7 +81,8 @@ def common_path(images: NDArray[np.float32], reach_px: float = 12.0) -> Array:
         path[b] = _parabola(window, int(peak[0]), int(peak[1])) - r
         undo = _phase(path[b], padded)
         reference = reference * (b / (b + 1)) + image * undo / (b + 1)
-    return path - path[0]
+    path -= path[0]
+    return path
 
 
 def follow(
@@ -184,8 +185,8 @@ def _weights(centre: Array, size: int, sigma_px: float) -> Array:
     """
     sigma_px = np.sqrt(sigma_px**2 + 1 / 12)  # a pixel's own width
     grid = np.arange(size)
-    dy = grid - centre[..., 0, None]  # (molecule, block, size)
-    dx = grid - centre[..., 1, None]
+    dy: Array = grid - centre[..., 0, None]  # (molecule, block, size)
+    dx: Array = grid - centre[..., 1, None]
     gy = np.exp(-(dy**2) / (2 * sigma_px**2)) / (np.sqrt(2 * np.pi) * sigma_px)
     gx = np.exp(-(dx**2) / (2 * sigma_px**2)) / (np.sqrt(2 * np.pi) * sigma_px)
     ty, tx = dy / sigma_px**2, dx / sigma_px**2
@@ -204,7 +205,7 @@ def _weights(centre: Array, size: int, sigma_px: float) -> Array:
 
 
 def _pseudo_inverse(terms: list[Array]) -> Array:
-    design = np.stack([t.reshape(*t.shape[:-2], -1) for t in terms], axis=-2)  # (…, term, pixel)
+    design: Array = np.stack([t.reshape(*t.shape[:-2], -1) for t in terms], axis=-2)  # (…, term, pixel)
     gram = design @ np.swapaxes(design, -1, -2)
     result: Array = np.linalg.solve(gram, design)
     return result
@@ -222,7 +223,7 @@ def _patches(images: NDArray[np.floating[Any]], corner: NDArray[np.int64], size:
 def _kernel() -> Any:
     import numba
 
-    @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+    @numba.njit(cache=True, nogil=True, error_model="numpy")
     def kernel(movie, baseline, corner, weights, block_of):  # type: ignore[no-untyped-def]
         n_molecules, _, n_terms, size, _ = weights.shape
         n_frames = movie.shape[0]

@@ -115,7 +115,11 @@ def _kinetics(table: Table, states: OnStates) -> None:
         )  # fmt: skip
     table.log("count_variance", _mean((relative[on] - 1) ** 2, 1.0), "relative variance while on", "traces")
     table.add(
-        "count_dark", _mean((relative < 0.35)[span], 0.0), "dark frames between first and last light", "", "traces"
+        "count_dark",
+        _mean((relative < 0.35)[span].astype(float)),
+        "dark frames between first and last light",
+        "",
+        "traces",
     )
     deviation = np.where(span, relative - 1, 0.0)
     for lag in LAGS:
