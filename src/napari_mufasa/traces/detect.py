@@ -34,6 +34,24 @@ def spot_filter(images: Stack, sigma_px: float) -> Stack:
     return result
 
 
+def border_noise(shape_px: tuple[int, int], sigma_px: float) -> Image:
+    """(y, x) noise sd of the filter relative to the middle of the field: larger where it reflects at the border.
+
+    The filter is a difference of two separable ones, so the variance of filtered white noise is a sum of
+    products of one-dimensional sums of squared weights.
+    """
+    products = []
+    for n in shape_px:
+        one = np.eye(n)
+        narrow = ndimage.gaussian_filter1d(one, sigma_px, axis=0, truncate=3.0)
+        wide = ndimage.gaussian_filter1d(one, BACKGROUND_WIDTH * sigma_px, axis=0, truncate=2.5)
+        products.append([(a * b).sum(axis=1) for a, b in ((narrow, narrow), (narrow, wide), (wide, wide))])
+    (yn, ym, yw), (xn, xm, xw) = products
+    variance = np.outer(yn, xn) - 2 * np.outer(ym, xm) + np.outer(yw, xw)
+    relative = variance / variance[shape_px[0] // 2, shape_px[1] // 2]
+    return np.asarray(np.sqrt(relative), dtype=np.float32)
+
+
 def significance(
     frames: Frames,
     sigma_px: float,
@@ -81,6 +99,7 @@ def significance(
         noise = np.full(shape, _lower_spread(whole), np.float32)
         return (whole / np.maximum(noise, 1e-12)).astype(np.float32), mean_e
     noise = np.sqrt(_smooth_floor(steps / (2 * (n_blocks - 1)))).astype(np.float32)
+    noise *= border_noise((shape[0], shape[1]), sigma_px)
     # Static structure that is no molecule (uneven light, fixed pattern) limits the long average.
     whole_noise = np.maximum(noise / np.sqrt(n_blocks), np.float32(_lower_spread(whole)))
     scales = [(shortest, noise), (whole, whole_noise)]

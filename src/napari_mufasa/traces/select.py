@@ -13,7 +13,8 @@ from napari_mufasa.traces.steps import Steps, idealise
 if TYPE_CHECKING:
     import pandas as pd
 
-LIT = 0.5  # a frame is lit where the idealised trace is above this share of the on level
+LIT = 0.3  # a frame is lit where the idealised trace is above this share of the on level (one of three molecules)
+ON = 0.5  # segments above this share of the highest one make up the on level
 LEAST_PROMINENCE = 0.2  # of a peak in every direction; isolated spots have 0.3 … 0.7, edges 0.1 ± 0.06
 STEP = 0.3  # a drop counts as a bleaching step when it takes this share of the first level
 
@@ -54,7 +55,7 @@ def dynamics(traces: NDArray[np.floating], false_alarm_rate: float = 0.01) -> Dy
             last = int(np.flatnonzero(lit[i])[-1])
             if last < n_frames - 1:
                 bleaching[i] = last + 1
-            n_blinks[i] = int(np.count_nonzero(np.diff(lit[i].astype(np.int8)) == 1))
+            n_blinks[i] = np.count_nonzero(np.diff(lit[i].astype(np.int8)) == 1) - (not lit[i, : last + 1][0])
             n_steps[i] = _bleaching_steps(step, on_level[i])
     snr = np.divide(on_level, noise, out=np.zeros(n), where=noise > 0)
     return Dynamics(on_level, noise, snr, lit, bleaching.astype(np.int64), n_steps, n_blinks)
@@ -72,7 +73,7 @@ def _on_level(step: Steps, trace: NDArray[np.floating]) -> float:
     highest = float(step.levels[long].max())
     if highest <= 0:
         return 0.0
-    up = step.levels > LIT * highest
+    up = step.levels > ON * highest
     return float(np.average(step.levels[up], weights=lengths[up]))
 
 

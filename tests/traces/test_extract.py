@@ -1,0 +1,334 @@
+"""Extraction against movies whose molecules are known (SPEC.md §6)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+from tests.blind import generator
+
+import napari_mufasa as nm
+from napari_mufasa.traces import Options, extract_traces
+from napari_mufasa.traces.frames import with_dark_baseline
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
+
+
+def base(**changes):
+    """About 10 detected photons in a spot's brightest pixel and frame, 9 of background."""
+    return nm.Model.from_dict(generator.base_model("emccd")).with_values(changes)
+
+
+def matched(found: np.ndarray, truth: np.ndarray, tolerance_px: float = 1.5):
+    """Pairs (found, truth) nearer than the tolerance, and their distances."""
+    distance = np.hypot(*(found[:, None] - truth[None]).transpose(2, 0, 1))
+    rows, columns = linear_sum_assignment(np.minimum(distance, 100.0))
+    near = distance[rows, columns] < tolerance_px
+    return rows[near], columns[near], distance[rows, columns][near]
+
+
+@pytest.fixture(scope="module")
+def blinking():
+    """An independent movie: 0.01 molecules per px², long dark states."""
+    movie = generator.make(generator.base_model("emccd"), seed=12, n_molecules=92, effects=[("long_dark_state", 0.5)])
+    model = nm.Model.from_dict(movie.believed)
+    return movie, model, extract_traces(movie.movie, model.camera, movie.dark, psf_sigma_px=model.sigma_px)
+
+
+@pytest.mark.parametrize("effects", [[], [("photobleaching", 0.5)], [("long_dark_state", 0.5)]])
+def test_isolated_molecules_are_found_and_nothing_else(effects):
+    case = generator.make(generator.base_model("emccd"), seed=10 + len(effects), n_molecules=92, effects=effects)
+    model = nm.Model.from_dict(case.believed)
+    found = extract_traces(case.movie, model.camera, case.dark, psf_sigma_px=model.sigma_px)
+    truth = np.array(case.truth["positions_px"])
+    positions = found.positions_px[found.kept]
+    _, columns, distance = matched(positions, truth)
+    inside = np.all((truth > 1.5) & (truth < 94.5), axis=1)
+    isolated = inside & (cKDTree(truth).query(truth, k=2)[0][:, 1] > 5.0)
+    assert len(distance) / len(positions) >= 0.98
+    assert np.isin(np.flatnonzero(isolated), columns).mean() >= 0.9
+    assert np.sqrt(np.mean(distance**2)) <= 0.3
+
+
+def test_randomly_scattered_molecules_overlap_and_are_judged():
+    model = base(**{"acquisition.shape_px": (128, 128), "fluorophore.cycles_before_bleaching": 1e5})
+    truth = np.random.default_rng(5).uniform(-0.5, 127.5, (164, 2))
+    movie = nm.simulate(model, truth, seed=5).movie
+    found = extract_traces(movie, model.camera, psf_sigma_px=model.sigma_px)
+    _, columns, distance = matched(found.positions_px[found.kept], truth)
+    apart = cKDTree(truth).query(truth, k=2)[0][:, 1]
+    isolated = np.flatnonzero((apart > 5.0) & np.all((truth > 1.5) & (truth < 126.5), axis=1))
+    assert len(distance) / found.kept.sum() >= 0.98
+    assert np.isin(isolated, columns).mean() >= 0.9
+    # The kept spots are single ones: most overlapping pairs 2 … 4 px apart are rejected.
+    pairs = np.flatnonzero((apart > 2.0) & (apart < 4.0))
+    assert np.isin(pairs, columns).mean() < 0.35
+    assert all(found.molecules.loc[~found.kept, "reason"] != "")
+    assert all(found.molecules.loc[found.kept, "reason"] == "")
+
+
+def test_traces_follow_the_truth_as_well_as_shot_noise_allows():
+    """Against an oracle that knows position, PSF and background and has the same photons."""
+    model = base(**{"acquisition.shape_px": (128, 128)})
+    model = model.with_effects(_effect("long_dark_state", off_rate_per_s=2.0))
+    truth = _grid(128, 14)
+    made = nm.simulate(model, truth, seed=2)
+    found = extract_traces(made.movie, model.camera, psf_sigma_px=model.sigma_px)
+    rows, columns, _ = matched(found.positions_px[found.kept], truth)
+    assert len(rows) > 50
+    emitted = made.emission[columns].astype(float)
+    signal = found.traces[rows]
+    expected = emitted * model.optics.collection_efficiency * model.camera.quantum_efficiency
+    assert np.median(signal.mean(axis=1) / expected.mean(axis=1)) == pytest.approx(1.0, abs=0.03)
+    oracle = _oracle(made.movie, truth[columns], model)
+    reached = [np.corrcoef(s, e)[0, 1] for s, e in zip(signal, emitted, strict=True)]
+    allowed = [np.corrcoef(o, e)[0, 1] for o, e in zip(oracle, emitted, strict=True)]
+    assert np.median(np.array(reached) / np.array(allowed)) >= 0.95
+
+
+def _effect(kind, **values):
+    from napari_mufasa.effects.base import effect_from_data
+
+    return effect_from_data({"kind": kind, **values})
+
+
+def _grid(size: int, spacing: int) -> np.ndarray:
+    at = np.arange(spacing / 2, size, spacing)
+    place = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1).reshape(-1, 2)
+    return place + np.random.default_rng(0).uniform(-0.5, 0.5, place.shape)
+
+
+def _oracle(movie, positions, model) -> np.ndarray:
+    """Weights of the least variance at the molecule's own brightness, true position and true background."""
+    from scipy.special import erf
+
+    electrons = (movie + 0.5 - model.camera.baseline_adu) * model.camera.electrons_per_adu / model.camera.em_gain
+    background = model.camera.quantum_efficiency * model.optics.background_photons_per_px
+    y, x = np.indices(movie.shape[1:])
+    traces = []
+    for py, px in positions:
+        scale = np.sqrt(2) * model.sigma_px
+        shares = 0.25 * (erf((y - py + 0.5) / scale) - erf((y - py - 0.5) / scale))
+        shares *= erf((x - px + 0.5) / scale) - erf((x - px - 0.5) / scale)
+        weight = shares / (50 * shares + background)
+        near = shares > 1e-4
+        traces.append((electrons[:, near] - background) @ weight[near] / (weight * shares)[near].sum())
+    return np.array(traces)
+
+
+def test_an_empty_movie_gives_no_molecule():
+    """Background only, three cameras: none kept, and at most two candidates in all of them together."""
+    candidates = 0
+    for name in ("emccd", "cmos", "ccd"):
+        model = nm.Model.from_dict(generator.base_model(name))
+        movie = nm.simulate(model, np.empty((0, 2)), seed=1).movie
+        found = extract_traces(movie, model.camera, psf_sigma_px=1.27)
+        candidates += len(found.molecules)
+        assert not found.kept.any()
+    assert candidates <= 2
+
+
+def test_blinking_is_read_from_the_traces(blinking):
+    _case, _, found = blinking
+    dark = found.molecules["n_blinks"].sum()
+    still = generator.make(generator.base_model("emccd"), seed=12, n_molecules=92)
+    model = nm.Model.from_dict(still.believed)
+    plain = extract_traces(still.movie, model.camera, still.dark, psf_sigma_px=model.sigma_px)
+    assert dark > 20
+    assert plain.molecules["n_blinks"].sum() <= 2
+
+
+def test_bleaching_frame_and_window():
+    model = base(**{"fluorophore.cycles_before_bleaching": 1e5})
+    truth = _grid(96, 12)
+    made = nm.simulate(model, truth, seed=4)
+    found = extract_traces(made.movie, model.camera, psf_sigma_px=model.sigma_px, window=30, best=10)
+    rows, columns, _ = matched(found.positions_px, truth)
+    last = np.array([np.flatnonzero(e)[-1] + 1 for e in made.emission[columns]])
+    bleached = (last < 290) & (last > 10)
+    error = found.molecules["bleaching_frame"].to_numpy()[rows][bleached] - last[bleached]
+    assert bleached.sum() > 20
+    assert np.mean(np.abs(error) <= 1) >= 0.9
+    assert found.traces.shape == (10, 30)
+    assert found.kept.sum() == 10
+    for trace, (_, row) in zip(found.traces, found.molecules[found.kept].iterrows(), strict=True):
+        end = row.bleaching_frame if row.bleaching_frame >= 0 else 300
+        assert row.window_start + 30 == end
+        assert trace.mean() > 0.7 * row.brightness  # active throughout
+    others = found.molecules[~found.kept]["reason"]
+    assert others.str.contains("not among the 10 best|no 30 active frames|border|never on").all()
+
+
+def test_drift_is_followed():
+    model = base().with_effects(_drift())
+    truth = _grid(96, 16)
+    made = nm.simulate(model, truth, seed=3)
+    followed = extract_traces(made.movie, model.camera, psf_sigma_px=model.sigma_px, follow_drift=True)
+    fixed = extract_traces(made.movie, model.camera, psf_sigma_px=model.sigma_px)
+    assert followed.drift_px is not None
+    late = slice(250, 300)
+    early = slice(0, 50)
+
+    def kept_light(traces):
+        return np.median(traces.traces[:, late].mean(axis=1) / np.maximum(traces.traces[:, early].mean(axis=1), 1.0))
+
+    assert np.hypot(*followed.drift_px[-1]) > 2.0
+    assert kept_light(followed) == pytest.approx(1.0, abs=0.1)
+    assert abs(np.log(kept_light(fixed))) > 0.3  # the light wanders out of, or into, a fixed aperture
+
+
+def _drift():
+    from napari_mufasa.effects.base import effect_class
+
+    kind = effect_class("stage_drift")
+    return kind(**{kind.strength: kind.plausible()[kind.strength][1]})
+
+
+def test_every_profile_holds_its_share_of_the_light():
+    model = base()
+    truth = np.rint(_grid(96, 16))
+    made = nm.simulate(model, truth, seed=6)
+    whole = (made.emission * model.optics.collection_efficiency * model.camera.quantum_efficiency).mean()
+    for profile, share in (("psf", 1.0), ("sum", None), ("brightest_pixel", None)):
+        found = extract_traces(made.movie, model.camera, psf_sigma_px=model.sigma_px, profile=profile)
+        expected = share or {"sum": 0.953, "brightest_pixel": 0.0931}[profile]  # integrals of the PSF at a centre
+        assert found.traces.mean() / whole == pytest.approx(expected, rel=0.04)
+        assert found.pixel_share == pytest.approx(expected, rel=0.06)
+
+
+def test_hot_pixels_are_not_molecules():
+    model = base()
+    movie = nm.simulate(model, np.array([[30.2, 40.1]]), seed=1).movie.copy()
+    movie[:, 60, 60] += 400
+    found = extract_traces(movie, model.camera, psf_sigma_px=model.sigma_px)
+    hot = found.molecules[np.hypot(found.molecules.y_px - 60, found.molecules.x_px - 60) < 1.5]
+    assert len(hot) == 1
+    assert not hot["kept"].any()
+    assert found.kept.sum() == 1
+
+
+def test_an_edge_of_light_is_not_a_row_of_molecules():
+    model = base()
+    rng = np.random.default_rng(0)
+    expected = np.where(np.arange(96) < 48, 4.0, 40.0) * np.ones((200, 96, 1))
+    electrons = rng.standard_gamma(rng.poisson(expected)) * 300
+    movie = (electrons / 12 + 200).astype(np.uint16)
+    found = extract_traces(movie, model.camera, psf_sigma_px=1.27)
+    assert not found.kept.any()
+
+
+def test_lazy_and_eager_movies_give_the_same():
+    import dask.array as da
+
+    model = base(**{"acquisition.n_frames": 60})
+    movie = nm.simulate(model, _grid(96, 16), seed=1).movie
+    one = extract_traces(movie, model.camera, psf_sigma_px=1.27)
+    two = extract_traces(da.from_array(movie, chunks=(7, 50, 96)), model.camera, psf_sigma_px=1.27)
+    assert np.array_equal(one.all_traces, two.all_traces)
+
+
+def test_units_of_the_movie_do_not_change_the_traces():
+    from napari_mufasa import camera
+
+    model = base(**{"acquisition.n_frames": 60})
+    movie = nm.simulate(model, _grid(96, 16), seed=1).movie
+    electrons = camera.photoelectrons(movie, model.camera)
+    adu = extract_traces(movie, model.camera, psf_sigma_px=1.27)
+    same = extract_traces(electrons, model.camera, psf_sigma_px=1.27, unit="photoelectrons")
+    photons = extract_traces(
+        electrons / model.camera.quantum_efficiency, model.camera, psf_sigma_px=1.27, unit="photons"
+    )
+    np.testing.assert_allclose(same.all_traces, adu.all_traces, rtol=1e-4, atol=1e-2)
+    np.testing.assert_allclose(photons.all_traces, adu.all_traces, rtol=1e-4, atol=1e-2)
+
+
+def test_dark_frames_give_the_baseline():
+    model = base(**{"camera.baseline_adu": 200.0, "camera.clock_induced_charge_e": 0.01})
+    dark = nm.simulate_dark(model, 50, seed=1)
+    wrong = model.camera.model_copy(update={"baseline_adu": 150.0})
+    # 50 frames of 96² pixels with 4 ADU read noise: the mean is known to 0.01 ADU.
+    assert with_dark_baseline(wrong, dark, (96, 96)).baseline_adu == pytest.approx(200.0, abs=0.1)
+
+
+def test_choice_by_hand_and_region_of_interest():
+    model = base(**{"acquisition.n_frames": 60})
+    movie = nm.simulate(model, _grid(96, 16), seed=1).movie
+    triangle = np.array([[-1.0, -1.0], [-1.0, 97.0], [97.0, -1.0]])
+    found = extract_traces(movie, model.camera, psf_sigma_px=1.27, roi=[triangle])
+    along = found.molecules.y_px + found.molecules.x_px
+    inside, outside = along < 95, along > 97  # the mask is cut at whole pixels
+    assert (found.molecules.loc[outside, "reason"] == "outside the region of interest").all()
+    assert found.molecules.loc[inside, "kept"].any()
+    first = int(found.molecules.loc[found.kept, "molecule"].iloc[0])
+    fewer = found.with_kept([first], kept=False)
+    assert len(fewer.traces) == len(found.traces) - 1
+    assert fewer.molecules.loc[first, "reason"] == "rejected by hand"
+    assert np.array_equal(fewer.with_kept([first]).traces, found.traces)
+
+
+def test_progress_ends_and_cancel_stops():
+    model = base(**{"acquisition.n_frames": 60})
+    movie = nm.simulate(model, _grid(96, 16), seed=1).movie
+    seen: list[tuple[int, int]] = []
+    extract_traces(movie, model.camera, psf_sigma_px=1.27, progress=lambda *p: seen.append(p))
+    assert seen[-1][0] == seen[-1][1] == 120
+    with pytest.raises(nm.Cancelled):
+        extract_traces(movie, model.camera, psf_sigma_px=1.27, cancel=lambda: True)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"movie": np.zeros((5, 5))}, "shape"),
+        ({"dark": np.zeros((3, 7, 7))}, "dark"),
+        ({"psf_sigma_px": -1.0}, "psf_sigma_px"),
+        ({"profile": "best"}, "profile"),
+        ({"threshold": "magic"}, "threshold"),
+        ({"window": 1000}, "window"),
+        ({"best": 0}, "best"),
+        ({"isolation": 3}, "isolation"),
+        ({"unit": "volts"}, "volts"),
+    ],
+)
+def test_bad_input_is_named(change, word):
+    movie = change.pop("movie", np.full((20, 32, 32), 300, np.uint16))
+    with pytest.raises(nm.MufasaError, match=word):
+        extract_traces(movie, base().camera, change.pop("dark", None), **{"psf_sigma_px": 1.27, **change})
+
+
+@pytest.mark.parametrize("threshold", ["sigma", "percentile", "otsu", "triangle"])
+def test_every_threshold_finds_bright_molecules(threshold):
+    model = base(**{"acquisition.n_frames": 60})
+    truth = _grid(96, 16)
+    movie = nm.simulate(model, truth, seed=1).movie
+    found = extract_traces(movie, model.camera, options=Options(psf_sigma_px=1.27, threshold=threshold))
+    assert len(matched(found.positions_px, truth)[0]) >= 0.9 * len(truth)
+
+
+def test_width_of_the_psf_is_measured():
+    for fwhm in (250, 400):
+        model = base(**{"acquisition.n_frames": 60, "optics.psf_fwhm_nm": fwhm})
+        movie = nm.simulate(model, _grid(96, 19), seed=1).movie
+        assert extract_traces(movie, model.camera).sigma_px == pytest.approx(model.sigma_px, rel=0.12)
+
+
+@pytest.mark.realdata
+def test_real_movie_gives_at_least_ninety_molecules_of_one_step():
+    path = DATA / "smfret_ixon_emccd.tif"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    import tifffile
+
+    model = nm.Model.from_json(MODELS / "smfret_ixon.json")
+    found = extract_traces(tifffile.imread(path), model.camera, psf_sigma_px=model.sigma_px, max_steps=1)
+    assert found.kept.sum() >= 90
+    kept = found.molecules[found.kept]
+    assert (kept["n_steps"] <= 1).all()
+    bleached = kept[kept.bleaching_frame >= 30]
+    for i, row in bleached.iterrows():  # dark after bleaching: below half of the on level
+        after = found.all_traces[i, int(row.bleaching_frame) :]
+        assert after.mean() < 0.5 * row.brightness

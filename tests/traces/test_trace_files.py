@@ -1,0 +1,83 @@
+"""Traces in and out (SPEC.md §10)."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.trace_files import read_trace_file, read_traces, write_trace_file
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+@pytest.mark.parametrize("suffix", ["csv", "tif", "h5"])
+def test_traces_come_back(tmp_path, suffix):
+    traces = np.random.default_rng(0).normal(100, 30, (6, 9)).astype(np.float32)
+    path = tmp_path / f"traces.{suffix}"
+    write_trace_file(path, traces, "photons", np.arange(6) + 3)
+    found = read_trace_file(path)
+    np.testing.assert_allclose(found.traces, traces, atol=1e-3)
+    assert found.unit == "photons"
+    if suffix != "tif":
+        assert list(found.molecules) == [3, 4, 5, 6, 7, 8]
+
+
+def test_whole_numbers_in_a_tiff_are_adu(tmp_path):
+    import tifffile
+
+    tifffile.imwrite(tmp_path / "a.tif", np.arange(12, dtype=np.uint16).reshape(4, 3))
+    traces, unit = read_traces(tmp_path / "a.tif")
+    assert unit == "adu"
+    assert traces.shape == (3, 4)
+    assert list(traces[1]) == [1, 4, 7, 10]
+
+
+def test_fret_traces(tmp_path):
+    donor, acceptor = np.arange(10).reshape(2, 5), 100 + np.arange(10).reshape(2, 5)
+    rows = np.stack([donor[0], acceptor[0], donor[1], acceptor[1]]).astype("<i2")
+    path = tmp_path / "a.traces"
+    path.write_bytes(struct.pack("<ih", 5, 4) + rows.T.tobytes())
+    (tmp_path / "a.pks").write_text("1 10 20 1\n2 110 20 1\n3 30 40 1\n4 130 40 1\n")
+    np.testing.assert_array_equal(read_trace_file(path).traces, donor)
+    np.testing.assert_array_equal(read_trace_file(path, channel="acceptor").traces, acceptor)
+    np.testing.assert_array_equal(read_trace_file(path, channel="sum").traces, donor + acceptor)
+    np.testing.assert_array_equal(read_trace_file(path).positions_px, [[20, 10], [40, 30]])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("a.csv", "molecule,frame\n0,0\n", "columns"),
+        ("a.csv", "molecule,frame,photons\n0,0,1\n0,1,2\n1,0,3\n", "same number"),
+        ("a.csv", "molecule,frame,photons\n0,0,1\n0,0,2\n", "once"),
+        ("a.csv", "molecule,frame,photons\n", "no trace"),
+        ("a.csv", "molecule,frame,photons\n0,0,nan\n", "finite"),
+        ("a.traces", "xxxxxxxxxx", "damaged"),
+        ("a.tif", "no tiff", "readable"),
+        ("a.doc", "", "use one of"),
+    ],
+)
+def test_bad_files_are_named(tmp_path, name, content, word):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(MufasaError, match=word):
+        read_trace_file(tmp_path / name)
+
+
+def test_missing_file():
+    with pytest.raises(MufasaError, match="no file"):
+        read_trace_file("nowhere.csv")
+
+
+@pytest.mark.realdata
+def test_real_fret_traces():
+    path = DATA / "smfret_traces" / "hel1.traces"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    found = read_trace_file(path)
+    assert found.traces.shape == (520, 1500)
+    assert found.positions_px is not None
+    assert len(found.positions_px) == 520
