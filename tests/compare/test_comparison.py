@@ -1,0 +1,170 @@
+"""Whole comparisons: a right model reaches the floor, a wrong one does not (SPEC.md §7)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.blind import generator
+
+import napari_mufasa as nm
+from napari_mufasa.compare import compare_movie, compare_traces, distributions, to_photoelectrons
+from napari_mufasa.compare.distributions import Sample, autocorrelation, dwell_frames
+from napari_mufasa.io import write_json
+from napari_mufasa.trace_files import read_traces
+from napari_mufasa.traces.select import dynamics
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
+
+
+@pytest.fixture(scope="module")
+def bleaching():
+    """An independent movie with bleaching, the belief right but for 12 % errors of brightness and background."""
+    movie = generator.make(generator.base_model("emccd_bleach"), seed=4, n_molecules=50)
+    model = nm.Model.from_dict(movie.believed)
+    return movie, model, compare_movie(movie.movie, model, movie.dark, seed=1, n_bootstrap=20)
+
+
+def test_a_fitted_right_model_reaches_the_floor(bleaching):
+    _, _, found = bleaching
+    assert found.w1["fitted"] <= 1.5 * found.w1["floor"]
+    assert found.w1["fitted"] <= found.w1["mufasa"] + 0.5 * found.w1["floor"]
+    assert found.w1["fitted"] < 0.5 * found.w1["poisson"]  # Poisson never bleaches
+
+
+def test_the_report_is_plain_data(bleaching, tmp_path):
+    _, _, found = bleaching
+    write_json(tmp_path / "report.json", found.report())
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert set(report["w1"]) == {"mufasa", "poisson", "sofi", "fitted", "floor", "unit"}
+    assert report["w1"]["unit"] == "photoelectrons per frame"
+    assert set(report["distributions"]) == {"counts", "autocorrelation", "on_times", "off_times", "survival", "levels"}
+    for curve in report["distributions"].values():
+        assert len(curve["x"]) == len(curve["measured"]) == len(curve["mufasa"])
+    assert nm.Model.from_dict(report["fitted_model"]) == found.fit.model
+
+
+def test_the_fit_knows_the_brightness(bleaching):
+    case, model, found = bleaching
+    true = case.truth["true_values"]
+    believed = nm.simulate_emission(model.with_values({"fluorophore.cycles_before_bleaching": None}), 50, seed=1)
+    per_s = believed.mean() / model.acquisition.frame_length_s * model.optics.collection_efficiency
+    fitted = per_s * found.fit.model.optics.brightness_correction
+    assert fitted / true["photons_per_s_per_molecule"] == pytest.approx(1.0, abs=0.1)
+    background = found.fit.model.optics.background_photons_per_px
+    assert background / true["background_photons_per_px"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_same_seed_same_numbers(bleaching):
+    movie, model, found = bleaching
+    again = compare_movie(movie.movie, model, movie.dark, seed=1, fit=False, n_bootstrap=5)
+    assert again.w1["mufasa"] == found.w1["mufasa"]
+    assert again.w1["sofi"] == found.w1["sofi"]
+
+
+def test_traces_alone_in_every_unit():
+    model = nm.Model.from_dict(generator.base_model("emccd")).with_values({"acquisition.n_frames": 60})
+    from napari_mufasa.compare.simulated import FarApart
+    from napari_mufasa.traces import Options
+
+    options = Options(psf_sigma_px=model.sigma_px, profile="brightest_pixel", subtract_background=False)
+    field = FarApart(model.sigma_px, 100, options, seed=9)
+    electrons = field.traces(field.acquisitions(model, 9)["mufasa"])
+    camera = model.camera
+    raw = electrons * camera.em_gain / camera.electrons_per_adu + camera.baseline_adu - 0.5
+    np.testing.assert_allclose(to_photoelectrons(raw, model, "adu"), electrons, rtol=1e-4, atol=1e-3)
+    settings = {"profile": "brightest_pixel", "background_subtracted": False, "fit": False, "n_bootstrap": 5}
+    one = compare_traces(electrons, model, **settings)
+    two = compare_traces(np.round(raw).astype(np.uint16), model, unit="adu", **settings)
+    assert two.w1["mufasa"] == pytest.approx(one.w1["mufasa"], abs=0.05)
+    # Made by this very model: at the floor. Twice as bright: far from it.
+    assert one.w1["mufasa"] < 2 * one.w1["floor"]
+    bright = model.with_values({"optics.brightness_correction": 2.0})
+    assert compare_traces(electrons, bright, **settings).w1["mufasa"] > 5 * one.w1["floor"]
+
+
+def test_one_pixel_traces_equal_those_of_a_movie():
+    """The short cut (one pixel per molecule) against the field of images, in distribution."""
+    from napari_mufasa.compare import floor, wasserstein
+    from napari_mufasa.compare.simulated import FarApart, recorded
+    from napari_mufasa.traces import Options, extract_traces
+
+    model = nm.Model.from_dict(generator.base_model("emccd")).with_values({"acquisition.n_frames": 40})
+    options = Options(psf_sigma_px=model.sigma_px, profile="brightest_pixel", subtract_background=False)
+    quick = FarApart(model.sigma_px, 200, options, seed=3)
+    slow = FarApart(model.sigma_px, 200, options, seed=3)
+    one = quick.traces(quick.acquisitions(model, 5)["mufasa"])
+    slow.one_pixel = False
+    at = np.arange(10, 10 + 15 * 15, 15.0)
+    offset = np.random.default_rng(0).uniform(-0.5, 0.5, (225, 2))
+    slow.positions_px = (np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1).reshape(-1, 2) + offset)[:200]
+    slow.shape_px = (240, 240)
+    acquisition = slow.acquisitions(model, 5)["mufasa"]
+    movie = recorded(acquisition)
+    other = extract_traces(movie, model.camera, options=options, positions_px=slow.positions_px).all_traces
+    assert wasserstein(one, other) < 2 * floor(one).value
+
+
+def test_autocorrelation_of_known_noise():
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(200, 400))
+    smooth = white[:, 1:] + 0.5 * white[:, :-1]
+    rows = Sample(smooth + 100, dynamics(smooth + 100))
+    found = autocorrelation(rows, 4)
+    # MA(1): ρ₁ = 0.5/1.25; standard error of 200·399 samples below 0.005.
+    np.testing.assert_allclose(found, [1.0, 0.4, 0.0, 0.0], atol=0.015)
+
+
+def test_dwell_times_count_complete_intervals_only():
+    lit = np.array([[1, 1, 0, 0, 0, 1, 0, 1, 1], [1] * 9, [0] * 9], dtype=bool)
+    assert sorted(dwell_frames(lit, False)) == [1, 3]
+    assert sorted(dwell_frames(lit, True)) == [1]
+
+
+def test_densities_integrate_to_one():
+    rng = np.random.default_rng(0)
+    traces = rng.normal(50, 5, (30, 60))
+    sample = Sample(traces, dynamics(traces))
+    counts = distributions({"measured": sample, "mufasa": sample}, "photoelectrons")["counts"]
+    width = counts.x[1] - counts.x[0]
+    assert counts.curves["measured"].sum() * width == pytest.approx(1.0, abs=0.01)
+
+
+def test_nothing_to_compare_is_said():
+    model = nm.Model.from_dict(generator.base_model("emccd"))
+    dark = nm.simulate_dark(model, 30, seed=1)
+    with pytest.raises(nm.MufasaError, match="no molecule left"):
+        compare_movie(dark, model)
+    with pytest.raises(nm.MufasaError, match="unit"):
+        compare_traces(np.ones((3, 4)), model, unit="volts")
+
+
+@pytest.mark.realdata
+def test_real_movie_fitted_model_near_the_floor():
+    path = DATA / "smfret_ixon_emccd.tif"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    import tifffile
+
+    model = nm.Model.from_json(MODELS / "smfret_ixon.json")
+    found = compare_movie(tifffile.imread(path), model, seed=1, max_steps=1, n_bootstrap=10)
+    assert len(found.samples["measured"].traces) >= 90
+    assert found.w1["fitted"] <= 1.5 * found.w1["floor"]
+
+
+@pytest.mark.realdata
+def test_real_egfp_traces_order_and_fit():
+    path = DATA / "egfp_emccd_traces.tif"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    traces, unit = read_traces(path)
+    model = nm.Model.from_json(MODELS / "egfp.json").with_values({"fluorophore.quantum_yield": 1.0})
+    found = compare_traces(
+        traces, model, unit=unit, profile="brightest_pixel", background_subtracted=False, pixel_share=1.0,
+        n_simulated=500, n_bootstrap=10,
+    )  # fmt: skip
+    assert found.w1["mufasa"] < found.w1["poisson"] < found.w1["sofi"]
+    assert found.w1["fitted"] < 0.2 * found.w1["mufasa"]
