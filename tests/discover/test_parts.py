@@ -94,9 +94,9 @@ def test_null_laws_fit_their_own_samples():
 
 def test_settings_of_every_effect_span_its_range_and_forms():
     for kind, effect in catalogue().items():
-        settings = ray_settings(effect, np.random.default_rng(1))
+        settings = ray_settings(effect, nm.preset("EGFP"), np.random.default_rng(1))
         assert all(type(s) is effect for s in settings), kind
-        low, high, _ = effect.plausible()[effect.strength]
+        low, high, _ = effect.plausible(nm.preset("EGFP"))[effect.strength]
         values = [getattr(s, effect.strength) for s in settings]
         assert low <= min(values) < max(values) <= high
         assert {getattr(s, "form", "") for s in settings} == set(effect.forms()), kind

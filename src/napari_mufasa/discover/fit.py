@@ -29,17 +29,24 @@ class Coordinate:
     name: str
     log: bool
     unit: float
+    low: float
+    high: float
 
     @classmethod
-    def of(cls, effect: Effect) -> list[Coordinate]:
-        return [
-            cls(name, log, 1.0 if log else (high - low) / 4)
-            for name, (low, high, log) in type(effect).plausible().items()
-        ]
+    def of(cls, effect: Effect, model: Model) -> list[Coordinate]:
+        """Shapes stay in their plausible range, for beyond it the effect is another; strengths may leave it."""
+        found = []
+        for name, (low, high, log) in type(effect).plausible(model).items():
+            unit = 1.0 if log else (high - low) / 4
+            if name == effect.strength:
+                low, high = (low / 10, high * 4) if log else (low - (high - low), high + (high - low))
+            found.append(cls(name, log, unit, low, high))
+        return found
 
     def moved(self, effect: Effect, by: float) -> float:
         value = float(getattr(effect, self.name))
-        return value * float(np.exp(by)) if self.log else value + by * self.unit
+        new = value * float(np.exp(by)) if self.log else value + by * self.unit
+        return float(np.clip(new, self.low, self.high))
 
     def sd(self, effect: Effect, sd: float) -> float:
         """A standard deviation of the coordinate in the parameter's own unit."""
@@ -64,7 +71,7 @@ def planned_simulations() -> int:
 def refine(library: Library, state: State, start: Effect, x: Array) -> Fit:
     """Fit `start` into `state` so that it explains the measurement x (part, observable)."""
     bench = library.bench
-    coordinates = Coordinate.of(start)
+    coordinates = Coordinate.of(start, state.model)
     n = len(coordinates)
     model = state.model.with_effects(start)
     free = (*state.free, *(f"{start.kind}.{c.name}" for c in coordinates))
@@ -96,7 +103,7 @@ def moved(model: Model, values: list[nuisance.Nuisance], free: tuple[str, ...], 
     model = nuisance.apply(model, values, moves[: len(values)])
     for path, by in zip(free[len(values) :], moves[len(values) :], strict=True):
         kind, name = path.split(".")
-        coordinate = next(c for c in Coordinate.of(effects[kind]) if c.name == name)
+        coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
         effects[kind] = changed(effects[kind], {name: coordinate.moved(effects[kind], float(by))})
     return model.model_copy(update={"effects": tuple(effects.values())})
 
@@ -120,7 +127,7 @@ def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
     misfit = state.misfit(x)
     excess = max(1.0, misfit / len(library.bench.names))
     sd = np.sqrt(np.diag(covariance)[len(loose) - n_effect :] * excess)
-    named = {c.name: c.sd(effect, float(s)) for c, s in zip(Coordinate.of(effect), sd, strict=True)}
+    named = {c.name: c.sd(effect, float(s)) for c, s in zip(Coordinate.of(effect, local.model), sd, strict=True)}
     return Fit(state, effect, named, state.score(x), misfit)
 
 

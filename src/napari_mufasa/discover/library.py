@@ -183,7 +183,7 @@ def build(bench: Bench, model: Model, kinds: Sequence[str]) -> Library:
 def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict[str, list[Ray]]:
     jobs: list[tuple[Effect, int]] = []
     for kind in kinds:
-        settings = ray_settings(catalogue()[kind], np.random.default_rng([bench.seed, *kind.encode()]))
+        settings = ray_settings(catalogue()[kind], model, np.random.default_rng([bench.seed, *kind.encode()]))
         jobs += [(setting, i % 8) for i, setting in enumerate(settings)]
     found = bench.rows([(model.with_effects(effect), number) for effect, number in jobs])
     rays: dict[str, list[Ray]] = {kind: [] for kind in kinds}
@@ -209,9 +209,9 @@ def _slopes(bench: Bench, model: Model, values: list[nuisance.Nuisance], base: A
     return np.moveaxis(mean * certain / np.array(steps)[:, None, None], 0, -1)
 
 
-def ray_settings(effect: type[Effect], rng: np.random.Generator) -> list[Effect]:
+def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -> list[Effect]:
     """Settings that span an effect's plausible range: strengths spread evenly, shapes at random, forms in turn."""
-    ranges, choices = effect.plausible(), choice_fields(effect)
+    ranges, choices = effect.plausible(model), choice_fields(effect)
     n = RAYS + len(ranges) - 1
     found = []
     for i, u in enumerate(rng.permutation((np.arange(n) + 0.5) / n)):

@@ -17,24 +17,32 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 if TYPE_CHECKING:
+    from napari_mufasa.model import Model
     from napari_mufasa.scene import Scene
 
 ENTRY_POINT_GROUP = "napari_mufasa.effects"
+REFERENCE = {"frame_s": 0.02, "movie_s": 6.0, "frames": 300.0, "noise_adu": 4.0, "peak_e": 10.0}
+"""The acquisition that plausible ranges are written for: 300 frames of 20 ms, 4 ADU read noise, 10 e⁻ at a peak."""
+
 STAGES = ("photophysics", "illumination", "sample motion", "optics and background", "camera")
 
 
 def parameter(
     default: float, *, ge: float | None = None, gt: float | None = None, le: float | None = None,
-    plausible: tuple[float, float], unit: str, description: str, log: bool = False,
+    plausible: tuple[float, float], unit: str, description: str, log: bool = False, follows: str = "",
 ) -> Any:  # fmt: skip
-    """A numeric effect parameter: hard limits, the plausible range a search covers, unit and meaning."""
+    """A numeric effect parameter: hard limits, the plausible range a search covers, unit and meaning.
+
+    `plausible` is for the `REFERENCE` acquisition; `follows` names what it scales with ("movie_s": a bleaching
+    rate is looked for where molecules bleach within the movie), "/" in front where it scales inversely.
+    """
     return Field(
         default,
         ge=ge,
         gt=gt,
         le=le,
         description=description,
-        json_schema_extra={"plausible": list(plausible), "unit": unit, "log": log},
+        json_schema_extra={"plausible": list(plausible), "unit": unit, "log": log, "follows": follows},
     )
 
 
@@ -81,14 +89,18 @@ class Effect(BaseModel):
         return {"kind": self.kind, **handler(self)}
 
     @classmethod
-    def plausible(cls) -> dict[str, tuple[float, float, bool]]:
-        """Numeric parameters with their plausible range and whether it is searched on a log scale."""
+    def plausible(cls, model: Model | None = None) -> dict[str, tuple[float, float, bool]]:
+        """Numeric parameters with their plausible range and whether it is searched on a log scale.
+
+        The ranges are those of the model's acquisition, or of the `REFERENCE` one.
+        """
         found = {}
         for name, field in cls.model_fields.items():
             extra = field.json_schema_extra
             if isinstance(extra, dict) and "plausible" in extra:
                 bounds: Any = extra["plausible"]
-                found[name] = (float(bounds[0]), float(bounds[1]), bool(extra["log"]))
+                factor = 1.0 if model is None else _relative_scale(str(extra["follows"]), model)
+                found[name] = (float(bounds[0]) * factor, float(bounds[1]) * factor, bool(extra["log"]))
         return found
 
     @classmethod
@@ -101,6 +113,31 @@ class Effect(BaseModel):
         """The functional forms the effect offers (its ``form`` field), or one unnamed form."""
         field = cls.model_fields.get("form")
         return tuple(getattr(field.annotation, "__args__", ())) if field is not None else ("",)
+
+
+def _relative_scale(follows: str, model: Model) -> float:
+    """How much larger the model's scale is than the reference's."""
+    if not follows:
+        return 1.0
+    name = follows.removeprefix("/")
+    ratio = _scales(model)[name] / REFERENCE[name]
+    return 1 / ratio if follows.startswith("/") else ratio
+
+
+def _scales(model: Model) -> dict[str, float]:
+    from napari_mufasa.photophysics.rates import excitation_rate
+
+    acquisition, dye, light = model.acquisition, model.fluorophore, model.excitation
+    rate = excitation_rate(dye.extinction_coefficient_per_M_cm, light.power_density_w_per_cm2, light.wavelength_nm)
+    collected = model.optics.collection_efficiency * model.optics.brightness_correction
+    detected = rate * acquisition.frame_length_s * dye.quantum_yield * collected * model.camera.quantum_efficiency
+    return {
+        "frame_s": acquisition.interval_s,
+        "movie_s": acquisition.interval_s * acquisition.n_frames,
+        "frames": float(acquisition.n_frames),
+        "noise_adu": max(model.camera.read_noise_e / model.camera.electrons_per_adu, 1.0),
+        "peak_e": max(detected / (2 * np.pi * model.sigma_px**2), 1.0),
+    }
 
 
 @cache

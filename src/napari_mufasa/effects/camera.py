@@ -129,7 +129,9 @@ class ColumnOffset(Effect):
     rivals = ("pixel_gain_variation",)
     separated_by = "present in dark frames"
 
-    rms_adu: float = parameter(3.0, ge=0, plausible=(0.2, 20), unit="ADU", log=True, description="rms of the offsets")
+    rms_adu: float = parameter(
+        3.0, ge=0, plausible=(0.2, 20), follows="noise_adu", unit="ADU", log=True, description="rms of the offsets"
+    )
     form: Literal["columns", "pixels"] = "columns"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -151,7 +153,7 @@ class RowNoise(Effect):
     separated_by = "rows independent within a frame"
 
     rms_adu: float = parameter(
-        3.0, ge=0, plausible=(0.2, 20), unit="ADU", log=True, description="rms of the row offsets"
+        3.0, ge=0, plausible=(0.2, 20), follows="noise_adu", unit="ADU", log=True, description="rms of the row offsets"
     )
     form: Literal["rows", "drifting_rows"] = "rows"
 
@@ -218,7 +220,7 @@ class DetectorSaturation(Effect):
     separated_by = "the top bins of the photon-transfer curve"
 
     inverse_full_scale: float = parameter(
-        0.02, ge=0, plausible=(0.003, 0.2), unit="1/e⁻", log=True,
+        0.02, ge=0, plausible=(0.003, 0.2), follows="/peak_e", unit="1/e⁻", log=True,
         description="1 / (photoelectrons per pixel at which the response has bent by its form)",
     )  # fmt: skip
     form: Literal["soft", "hard"] = "soft"
@@ -293,7 +295,13 @@ class BaselineDrift(Effect):
     separated_by = "variance against mean over time; overscan or dark frames"
 
     drift_adu: float = parameter(
-        8.0, ge=-1e4, le=1e4, plausible=(-40, 40), unit="ADU", description="change from first to last frame"
+        8.0,
+        ge=-1e4,
+        le=1e4,
+        plausible=(-40, 40),
+        follows="noise_adu",
+        unit="ADU",
+        description="change from first to last frame",
     )
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 

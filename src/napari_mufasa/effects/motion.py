@@ -85,7 +85,13 @@ class MoleculeDiffusion(Effect):
     separated_by = "the mean square displacement that molecules do not share"
 
     diffusion_px2_per_frame: float = parameter(
-        0.003, ge=0, plausible=(0.0003, 0.05), unit="px²/frame", log=True, description="D; MSD = 4 D t"
+        0.003,
+        ge=0,
+        plausible=(0.0003, 0.05),
+        follows="/frames",
+        unit="px²/frame",
+        log=True,
+        description="D; MSD = 4 D t",
     )
     form: Literal["free", "confined", "half_mobile"] = "free"
 

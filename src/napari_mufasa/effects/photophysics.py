@@ -103,10 +103,16 @@ class TripletBlinking(_DarkState):
     _prefix = "T"
 
     off_rate_per_s: float = parameter(
-        5.0, ge=0, plausible=(0.5, 50), unit="1/s", log=True, description="rate into the dark at full light"
+        5.0,
+        ge=0,
+        plausible=(0.5, 50),
+        follows="/frame_s",
+        unit="1/s",
+        log=True,
+        description="rate into the dark at full light",
     )
     dark_time_s: float = parameter(
-        0.04, gt=0, plausible=(0.01, 0.12), unit="s", log=True, description="mean time in the dark"
+        0.04, gt=0, plausible=(0.006, 0.08), follows="frame_s", unit="s", log=True, description="mean time in the dark"
     )
     form: Literal["exponential", "two_exponential"] = "exponential"
     start: Literal["bright", "equilibrium"] = "equilibrium"
@@ -124,10 +130,16 @@ class LongDarkState(_DarkState):
     _prefix = "R"
 
     off_rate_per_s: float = parameter(
-        0.5, ge=0, plausible=(0.05, 5), unit="1/s", log=True, description="rate into the dark at full light"
+        0.5,
+        ge=0,
+        plausible=(0.05, 5),
+        follows="/movie_s",
+        unit="1/s",
+        log=True,
+        description="rate into the dark at full light",
     )
     dark_time_s: float = parameter(
-        0.8, gt=0, plausible=(0.2, 5), unit="s", log=True, description="mean time in the dark"
+        0.8, gt=0, plausible=(0.09, 3), follows="movie_s", unit="s", log=True, description="mean time in the dark"
     )
     form: Literal["exponential", "power_law"] = "exponential"
     start: Literal["bright", "equilibrium"] = "bright"
@@ -146,7 +158,13 @@ class Photobleaching(Effect):
     separated_by = "the level of the survivors, and whether lost molecules ever return"
 
     rate_per_s: float = parameter(
-        0.2, ge=0, plausible=(0.02, 2), unit="1/s", log=True, description="bleaching rate at full light"
+        0.2,
+        ge=0,
+        plausible=(0.02, 2),
+        follows="/movie_s",
+        unit="1/s",
+        log=True,
+        description="bleaching rate at full light",
     )
     fast_fraction: float = parameter(
         0.5,
@@ -213,7 +231,13 @@ class DelayedActivation(Effect):
         0.4, ge=0, le=1, plausible=(0.05, 0.9), unit="", description="share of molecules that start dark"
     )
     activation_rate_per_s: float = parameter(
-        0.4, gt=0, plausible=(0.05, 3), unit="1/s", log=True, description="rate at which they turn bright"
+        0.4,
+        gt=0,
+        plausible=(0.05, 3),
+        follows="/movie_s",
+        unit="1/s",
+        log=True,
+        description="rate at which they turn bright",
     )
     form: Literal["exponential", "two_step"] = "exponential"
 

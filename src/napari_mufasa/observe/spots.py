@@ -183,12 +183,12 @@ def _weights(centre: Array, size: int, sigma_px: float) -> Array:
     Terms of the Taylor series of a Gaussian spot: G, −∂G, ½∂²G …, plus a constant. The derivatives beyond
     the shift are orthogonalised after the first four, so that light and shift keep their small variance.
     """
-    sigma_px = np.sqrt(sigma_px**2 + 1 / 12)  # a pixel's own width
+    sigma_px = float(np.sqrt(sigma_px**2 + 1 / 12))  # a pixel's own width
     grid = np.arange(size)
     dy: Array = grid - centre[..., 0, None]  # (molecule, block, size)
     dx: Array = grid - centre[..., 1, None]
-    gy = np.exp(-(dy**2) / (2 * sigma_px**2)) / (np.sqrt(2 * np.pi) * sigma_px)
-    gx = np.exp(-(dx**2) / (2 * sigma_px**2)) / (np.sqrt(2 * np.pi) * sigma_px)
+    gy: Array = np.exp(-(dy**2) / (2 * sigma_px**2)) / (np.sqrt(2 * np.pi) * sigma_px)
+    gx: Array = np.exp(-(dx**2) / (2 * sigma_px**2)) / (np.sqrt(2 * np.pi) * sigma_px)
     ty, tx = dy / sigma_px**2, dx / sigma_px**2
     cy, cx = (dy**2 - sigma_px**2) / sigma_px**4, (dx**2 - sigma_px**2) / sigma_px**4
 
@@ -206,7 +206,7 @@ def _weights(centre: Array, size: int, sigma_px: float) -> Array:
 
 def _pseudo_inverse(terms: list[Array]) -> Array:
     design: Array = np.stack([t.reshape(*t.shape[:-2], -1) for t in terms], axis=-2)  # (…, term, pixel)
-    gram = design @ np.swapaxes(design, -1, -2)
+    gram: Array = design @ np.swapaxes(design, -1, -2)
     result: Array = np.linalg.solve(gram, design)
     return result
 
