@@ -122,7 +122,7 @@ def calibrate(
     steady = _steady(means, variances)
     means, variances = means[:, steady], variances[:, steady]
     if np.isnan(base.value):
-        base, slopes = _line(means, variances, read.value, notes)
+        base, slopes = _line(means, variances, int(shape[0]) - first, read.value, notes)
     else:
         slopes = np.array([_slope(m - base.value, v - read.value**2) for m, v in zip(means, variances, strict=True)])
     slopes = slopes[np.isfinite(slopes)]
@@ -260,14 +260,21 @@ def _slope(signal: NDArray[np.float64], variance: NDArray[np.float64]) -> float:
 
 
 def _line(
-    means: NDArray[np.float64], variances: NDArray[np.float64], read_noise: float, notes: list[str]
+    means: NDArray[np.float64], variances: NDArray[np.float64], n_frames: int, read_noise: float, notes: list[str]
 ) -> tuple[Value, NDArray[np.float64]]:
     """Baseline and slope from a robust line of variance against mean, chunk by chunk."""
     from scipy.stats import theilslopes
 
     fits = []
+    # Pixels are grouped by their mean over the whole movie: grouped by the noise of a part of it, the noise
+    # itself would look like light.
+    overall = means.mean(axis=0)
+    own_noise = np.sqrt(variances.mean() / n_frames)
+    bins = _bins(overall) if np.std(overall) > 2 * own_noise else []
     for m, v in zip(means, variances, strict=True):
-        x, y = _curve(m, v)
+        x, y = np.array([m[b].mean() for b in bins]), np.array([v[b].mean() for b in bins])
+        if len(x) == 0:
+            break
         keep = x <= np.percentile(x, 90)  # the brightest bins hold the molecules, which blink
         if keep.sum() < 5 or np.ptp(x[keep]) < 0.02 * abs(x[keep].mean()):
             continue
