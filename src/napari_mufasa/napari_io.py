@@ -190,10 +190,13 @@ def sample_hidden_effect(seed: int = PUZZLE_SEED) -> list[LayerData]:
     ).with_effects(hidden_effect(seed))
     movie = simulate(truth, seed=seed, workers=2).movie
     dark = simulate_dark(truth, 60, seed=seed)
-    shared = movie_space(believed) | {"metadata": _metadata(believed, None), "colormap": "gray"}
+    dark_name = "hidden effect, dark frames"
+    of_dark = {METADATA_KEY: {"role": "dark frames"}}
+    of_movie = {METADATA_KEY: {"model": believed.to_dict(), "seed": None, "dark_layer": dark_name}}
+    shared = movie_space(believed) | {"colormap": "gray"}
     return [
-        (dark, shared | {"name": "hidden effect, dark frames", "visible": False, "metadata": {}}, "image"),
-        (movie, shared | {"name": "hidden effect", "contrast_limits": contrast(movie)}, "image"),
+        (dark, shared | {"name": dark_name, "visible": False, "metadata": of_dark}, "image"),
+        (movie, shared | {"name": "hidden effect", "contrast_limits": contrast(movie), "metadata": of_movie}, "image"),
     ]
 
 

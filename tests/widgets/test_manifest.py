@@ -95,6 +95,22 @@ def test_samples_open_with_their_model(viewer, key):
     assert len(found) > model["sample"]["n_molecules"] / 2
 
 
+def test_samples_dark_frames_are_taken_and_never_the_movie(viewer):
+    from napari_mufasa.widgets.panel import MovieChooser
+    from napari_mufasa.widgets.session import session_of
+
+    session = session_of(viewer)
+    chooser = MovieChooser(session)
+    viewer.window.add_dock_widget(chooser)
+    dark, movie = viewer.open_sample("napari-mufasa", "hidden_effect")
+    assert session.movie_layer is movie
+    assert session.dark_layer is dark
+    assert chooser.dark.layer() is dark
+    viewer.layers.remove(dark)
+    assert session.dark_layer is None
+    assert session.measurement().dark is None
+
+
 def test_hidden_effect_sample_tells_the_belief_and_not_the_truth(viewer):
     dark, movie = viewer.open_sample("napari-mufasa", "hidden_effect")
     stored = movie.metadata["napari_mufasa"]

@@ -88,7 +88,6 @@ def test_molecules_are_the_simulated_ones_and_a_click_shows_the_trace(with_movie
     inside = np.all((bright_movie.positions_px > 3) & (bright_movie.positions_px < (44, 60)), axis=1)
     assert np.median(distance.min(axis=0)[inside]) < 0.5
     # In select mode a click changes the selection.
-    points.selected_data.select_only(2) if hasattr(points.selected_data, "select_only") else None
     points.selected_data = {2}
     assert panel.shown == 2
     assert np.allclose(panel.plot.data["photoelectrons"], panel.traces.all_traces[2])
@@ -97,6 +96,43 @@ def test_molecules_are_the_simulated_ones_and_a_click_shows_the_trace(with_movie
     panel.toggle_button.click()
     assert bool(points.features["kept"][2]) is not was_kept
     assert points.features["reason"][2] == ("rejected by hand" if was_kept else "")
+
+
+def test_points_deleted_or_of_an_earlier_run_still_show_their_own_trace(with_movie, open_panel, run):
+    panel = open_panel(MoleculesPanel, with_movie)
+    run(panel)
+    first, first_traces = panel.points, panel.traces
+    panel.profile.setCurrentIndex(2)  # brightest pixel
+    run(panel)
+    with_movie.layers.selection.active = first
+    first.selected_data = {0}
+    first.remove_selected()
+    first.selected_data = {1}  # the molecule that was number 2
+    assert panel.shown == 2
+    assert np.array_equal(panel.plot.data["photoelectrons"], first_traces.all_traces[2])
+    panel.toggle_button.click()
+    assert first.features.set_index("molecule")["reason"][2] in ("rejected by hand", "")
+    assert len(first.features) == len(first.data)
+
+
+def test_denoised_movie_is_read_in_photons_and_never_taken_for_counts(with_movie, open_panel, run, bright_model):
+    denoise, molecules = open_panel(DenoisePanel, with_movie), open_panel(MoleculesPanel, with_movie)
+    run(molecules)
+    counts = molecules.traces
+    run(denoise)
+    session_of(with_movie).set_movie(with_movie.layers["bright, photons"])
+    run(molecules)
+    # The same photoelectrons whatever the way: denoising keeps each molecule's sum to a few per cent.
+    photons = molecules.traces
+    distance = np.hypot(*(counts.positions_px[:, None] - photons.positions_px[None]).transpose(2, 0, 1))
+    same = distance.min(axis=1) < 1
+    ratio = photons.all_traces[distance.argmin(axis=1)].sum(axis=1)[same] / counts.all_traces.sum(axis=1)[same]
+    assert same.sum() >= 8
+    assert np.median(ratio) == pytest.approx(1, abs=0.12)
+    compare = open_panel(ComparePanel, with_movie)
+    compare.run_bar.run_button.click()
+    assert not compare.run_bar.running
+    assert "holds photons" in compare.run_bar.message.text()
 
 
 def test_traces_are_saved_as_the_contract_says(with_movie, open_panel, run, tmp_path):

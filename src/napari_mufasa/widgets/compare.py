@@ -85,7 +85,7 @@ class ComparePanel(Panel):
         self.comparison: Comparison | None = None
 
     def prepare(self) -> None:
-        measurement = self.session.measurement()
+        measurement = self.session.measurement().recorded()
         model, seed, fit = self.session.matching_model(measurement.movie), self.seed.value(), self.fit.isChecked()
 
         def work(progress: Any, cancel: Any) -> Any:

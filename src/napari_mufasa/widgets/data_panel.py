@@ -10,7 +10,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import guarded
 from napari_mufasa.widgets.layers import resolution_um, slim
 from napari_mufasa.widgets.panel import MovieChooser, Panel
-from napari_mufasa.widgets.session import model_in, stack_of
+from napari_mufasa.widgets.session import model_in, stack_of, stored
 
 if TYPE_CHECKING:
     from napari.viewer import Viewer
@@ -86,11 +86,7 @@ class DataPanel(Panel):
     def open_sample(self, key: str) -> None:
         """Open one of the plugin's samples."""
         layers = self.viewer.open_sample("napari-mufasa", key)
-        movie = next(layer for layer in layers if "dark" not in layer.name.lower())
-        dark = next((layer for layer in layers if "dark" in layer.name.lower()), None)
-        if dark is not None:
-            self.session.set_dark(dark)
-        self._take(movie)
+        self._take(next(layer for layer in layers if stored(layer, "role") != "dark frames"))
 
     def refresh(self) -> None:
         layer = self.session.movie_layer

@@ -54,7 +54,7 @@ class DenoisePanel(Panel):
         self.excess.setVisible(self.session.model.camera.type == "EMCCD")
 
     def prepare(self) -> None:
-        measurement, camera = self.session.measurement(), self.session.model.camera
+        measurement, camera = self.session.measurement().recorded(), self.session.model.camera
         layer = self.session.movie_layer
         assert layer is not None
         space, name = like(layer), measurement.name
@@ -68,7 +68,7 @@ class DenoisePanel(Panel):
             )
 
         def done(photons: Any) -> None:
-            add_movie(self.viewer, photons, f"{name}, photons", space)
+            add_movie(self.viewer, photons, f"{name}, photons", space, role="photons")
             self.session.set_result("denoised", True)
             self.run_bar.say("Added: photons per pixel and frame.")
 

@@ -13,6 +13,7 @@ from qtpy.QtWidgets import (
     QLabel,
     QPushButton,
     QTabWidget,
+    QTextBrowser,
     QVBoxLayout,
     QWidget,
 )
@@ -99,10 +100,10 @@ class DiscoverPanel(Panel):
         layout = QVBoxLayout(page)
         self.ranking = table(["Effect", "Evidence", "Error after", "p"])
         self.ranking.itemSelectionChanged.connect(self._show_candidate)
-        self.details = QLabel("Effects that could explain the misfit appear above, the best one first.")
-        self.details.setWordWrap(True)
-        self.details.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.details.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        # A text that scrolls by itself: a wrapped label would push the buttons out of sight.
+        self.details = QTextBrowser()
+        self.details.setMinimumHeight(110)
+        self.details.setHtml("Effects that could explain the misfit appear above, the best one first.")
         self.add_button, self.undo_button = QPushButton("Add to the model"), QPushButton("Undo")
         self.add_button.setToolTip("Fit this effect and put it into the model")
         self.undo_button.setToolTip("Take the last effect out again")
@@ -122,7 +123,7 @@ class DiscoverPanel(Panel):
 
     # runs -------------------------------------------------------------------------------------------
     def prepare(self) -> None:
-        measurement = self.session.measurement()
+        measurement = self.session.measurement().recorded()
         model, seed = self.session.matching_model(measurement.movie), self.seed.value()
         steering, options = Steering(), dict(self.investigation_options)
 
@@ -216,7 +217,7 @@ class DiscoverPanel(Panel):
         if self.ranking.rowCount():
             self.ranking.selectRow(0)
         else:
-            self.details.setText("No further effect was tried.")
+            self.details.setHtml("No further effect was tried.")
         self._show_history(report)
         self._enable()
         # What was found is what is believed from now on.
@@ -289,7 +290,7 @@ class DiscoverPanel(Panel):
         candidate = self._selected_candidate()
         if self._quiet or candidate is None:
             return
-        self.details.setText(words_of(candidate))
+        self.details.setHtml(words_of(candidate))
         self.add_button.setText(f"Add {title_of(candidate.effect).lower()}")
         self._enable()
 

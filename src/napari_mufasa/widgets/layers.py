@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QComboBox, QWidget
 
 from napari_mufasa.io import METADATA_KEY
 from napari_mufasa.napari_io import contrast
+from napari_mufasa.widgets.session import stored
 
 if TYPE_CHECKING:
     from napari.layers import Image, Layer, Points
@@ -55,7 +56,9 @@ class LayerCombo(QComboBox):
         from napari.layers import Image
 
         before = self.layer()
-        self._layers = [layer for layer in self._viewer.layers if isinstance(layer, Image)]
+        images = [layer for layer in self._viewer.layers if isinstance(layer, Image)]
+        # Dark frames are never the movie.
+        self._layers = [image for image in images if self._none_label or stored(image, "role") != "dark frames"]
         names = [layer.name for layer in self._layers]
         if self._none_label:
             self._layers.insert(0, None)
@@ -84,9 +87,11 @@ def like(layer: Layer) -> dict[str, Any]:
 
 
 def add_movie(viewer: Viewer, data: Any, name: str, space: dict[str, Any], model: Model | None = None,
-              seed: int | None = None, **kwargs: Any) -> Image:  # fmt: skip
+              seed: int | None = None, role: str = "", **kwargs: Any) -> Image:  # fmt: skip
     """A movie as an Image layer; contrast from a few frames, so that lazy data stay lazy."""
-    metadata = {METADATA_KEY: {"model": model.to_dict(), "seed": seed}} if model is not None else {}
+    ours: dict[str, Any] = {"model": model.to_dict(), "seed": seed} if model is not None else {}
+    ours |= {"role": role} if role else {}
+    metadata = {METADATA_KEY: ours} if ours else {}
     options = {"contrast_limits": contrast(data), "colormap": "gray"} | kwargs
     added: Any = viewer.add_image(data, name=name, metadata=metadata, **space, **options)
     return added

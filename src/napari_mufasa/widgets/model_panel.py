@@ -42,7 +42,6 @@ class ModelSource(QWidget):
         self.combo = QComboBox()
         self.combo.addItems([*PRESETS, FROM_FILE, FROM_LAYER])
         slim(self.combo)
-        self.combo.setPlaceholderText("choose another …")
         self.combo.setToolTip("Where the believed model comes from")
         self.combo.activated.connect(self._on_chosen)
         self.save_button = QPushButton("Save …")
@@ -107,6 +106,7 @@ class ModelSource(QWidget):
         model, origin = self.session.model, self.session.model_origin
         plain = origin.removeprefix("preset ")
         known = plain if plain in PRESETS else FROM_LAYER if origin.startswith("metadata of") else ""
+        self.combo.setPlaceholderText(origin)
         self.combo.setCurrentIndex(self.combo.findText(known))  # -1 shows the placeholder
         effects = ", ".join((effect.title or effect.kind).lower() for effect in model.effects)
         self.origin.setText(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from qtpy.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QFileDialog, QFormLayout, QPushButton, QSpinBox
@@ -81,6 +82,7 @@ class MoleculesPanel(Panel):
         self.column.addWidget(self.save_button)
         self.traces: TraceSet | None = None
         self.points: Points | None = None
+        self._sets: WeakKeyDictionary[Any, TraceSet] = WeakKeyDictionary()
         self.shown: int | None = None
 
     def prepare(self) -> None:
@@ -99,7 +101,13 @@ class MoleculesPanel(Panel):
             from napari_mufasa.traces import extract_traces
 
             return extract_traces(
-                measurement.movie, camera, measurement.dark, progress=progress, cancel=cancel, **options
+                measurement.movie,
+                camera,
+                measurement.dark,
+                unit=measurement.unit,
+                progress=progress,
+                cancel=cancel,
+                **options,
             )
 
         self.start("Extracting traces", work, lambda traces: self._show(traces, layer, measurement.name))
@@ -119,37 +127,48 @@ class MoleculesPanel(Panel):
             size=max(4.0, 5 * traces.sigma_px), face_color="transparent", border_width=0.07,
             border_color=_colours(table), symbol="disc",
         )  # fmt: skip
+        self._sets[self.points] = traces
         self.points.mode = "select"
         self.points.selected_data.events.items_changed.connect(self._on_selection)
         self.points.mouse_drag_callbacks.append(self._on_click)
-        self.points.metadata["napari_mufasa_role"] = "molecules"
         self.save_button.setEnabled(True)
         self.plot.clear()
         self.session.set_result("traces", traces)
 
-    def select(self, index: int) -> None:
+    def select(self, molecule: int) -> None:
         """Show the trace of one candidate."""
-        if self.traces is None or not 0 <= index < len(self.traces.molecules):
+        if self.traces is None or not 0 <= molecule < len(self.traces.molecules):
             return
-        self.shown = index
+        self.shown = molecule
         self.toggle_button.setEnabled(True)
-        row = self.traces.molecules.iloc[index]
+        row = self.traces.molecules.iloc[molecule]
         verdict = "kept" if row["kept"] else f"rejected: {row['reason']}"
         bleached = int(row["bleaching_frame"])
         title = (
-            f"<b>Molecule {int(row['molecule'])}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · "
+            f"<b>Molecule {molecule}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · "
             f"{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
             f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
         )
-        trace, lit = self.traces.all_traces[index], self.traces.lit[index]
+        trace, lit = self.traces.all_traces[molecule], self.traces.lit[molecule]
         self.plot.draw(lambda figure: _draw_trace(figure, trace, lit, bleached), title)
 
+    def _select_point(self, layer: Points, index: int) -> None:
+        """Points may come from an earlier run, or be fewer than at first: the layer's own table says which it is."""
+        if layer not in self._sets or index >= len(layer.features):
+            return
+        self.points, self.traces = layer, self._sets[layer]
+        molecule = layer.features["molecule"].iloc[index]
+        if molecule == molecule:  # a point added by hand has none
+            self.select(int(molecule))
+
     def _on_selection(self, *_: Any) -> None:
-        # Bound to the layer; the panel may be closed by now.
+        # Bound to the layers; the panel may be closed by now.
         with contextlib.suppress(RuntimeError):
-            chosen = sorted(self.points.selected_data) if self.points is not None else []
-            if chosen:
-                self.select(int(chosen[0]))
+            active = self.viewer.layers.selection.active
+            layer = active if active in self._sets else self.points
+            chosen = sorted(layer.selected_data) if layer is not None else []
+            if layer is not None and chosen:
+                self._select_point(layer, int(chosen[0]))
 
     def _on_click(self, layer: Points, event: Any) -> None:
         """In pan/zoom mode a click does not select; look what is under the mouse."""
@@ -160,17 +179,21 @@ class MoleculesPanel(Panel):
         )
         if index is not None:
             with contextlib.suppress(RuntimeError):
-                self.select(int(index))
+                self._select_point(layer, int(index))
 
     def _toggle(self) -> None:
         if self.traces is None or self.shown is None:
             return
-        row = self.traces.molecules.iloc[self.shown]
-        self.traces = self.traces.with_kept([int(row["molecule"])], not bool(row["kept"]))
+        keep = not bool(self.traces.molecules["kept"].iloc[self.shown])
+        self.traces = self.traces.with_kept([self.shown], keep)
         self.session.set_result("traces", self.traces)
         if self.points is not None and self.points in self.viewer.layers:
-            self.points.features = _features(self.traces.molecules)
-            self.points.border_color = _colours(self.traces.molecules)
+            self._sets[self.points] = self.traces
+            features = self.points.features.copy()
+            rows = features["molecule"] == self.shown
+            features.loc[rows, ["kept", "reason"]] = [keep, self.traces.molecules["reason"].iloc[self.shown]]
+            self.points.features = features
+            self.points.border_color = _colours(features)
         self.select(self.shown)
 
     def _ask_and_save(self) -> None:
@@ -221,8 +244,8 @@ def _draw_trace(figure: Any, trace: Any, lit: Any, bleached: int) -> Any:
     axes = figure.subplots()
     plotting.trace(axes, trace)
     frames = np.arange(len(trace))
-    low = float(np.min(trace))
-    axes.fill_between(frames, low, low + 0.04 * float(np.ptp(trace)), where=lit, color=KEPT, linewidth=0)
+    at_the_bottom = axes.get_xaxis_transform()
+    axes.fill_between(frames, 0, 0.025, where=lit, color=KEPT, linewidth=0, transform=at_the_bottom)
     if bleached >= 0:
         axes.axvline(bleached, color=REJECTED, linewidth=1, linestyle="--")
     axes.set_xlabel("frame (green: on; dashed: bleached)")

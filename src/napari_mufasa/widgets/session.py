@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -25,11 +25,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was recorded: `movie` and `dark` (frame, y, x) as stored in the layers, possibly lazy; `name` for titles."""
+    """What was recorded: `movie` and `dark` (frame, y, x) as stored in the layers, possibly lazy; `name` for titles.
+
+    `unit` is "adu" for what a camera recorded, "photons" for a movie that was denoised.
+    """
 
     movie: Any
     dark: Any
     name: str
+    unit: Literal["adu", "photons"] = "adu"
+
+    def recorded(self) -> Measurement:
+        """Itself; raises `MufasaError` when it is not what a camera recorded."""
+        if self.unit != "adu":
+            raise MufasaError(f"{self.name} holds photons, not camera counts: choose the recorded movie in step Data")
+        return self
 
 
 class Session(QObject):
@@ -93,6 +103,15 @@ class Session(QObject):
         if layer is self.movie_layer and layer is not None:
             return
         self._movie = weakref.ref(layer) if layer is not None else None
+        dark = self.viewer.layers[name] if (name := stored(layer, "dark_layer")) in self.viewer.layers else None
+        if dark is not None:
+            self._dark = weakref.ref(dark)
+        elif (
+            layer is not None
+            and self.dark_layer is not None
+            and self.dark_layer.data.shape[-2:] != layer.data.shape[-2:]
+        ):
+            self._dark = None  # another movie's dark frames
         self.movie_changed.emit()
 
     def set_dark(self, layer: Image | None) -> None:
@@ -118,7 +137,7 @@ class Session(QObject):
                     f"the first {n} frames are called dark, but {layer.name} has {len(movie)}: give fewer dark frames"
                 )
             movie, dark = movie[n:], movie[:n]
-        return Measurement(movie, dark, layer.name)
+        return Measurement(movie, dark, layer.name, "photons" if stored(layer, "role") == "photons" else "adu")
 
     def matching_model(self, movie: Any) -> Model:
         """The believed model with the movie's own number of frames and detector shape."""
@@ -162,12 +181,17 @@ def stack_of(layer: Image) -> Any:
     return data if data.ndim == 3 else data[np.newaxis]
 
 
+def stored(layer: Layer | None, key: str) -> Any:
+    """What the layer's metadata say of us: `model`, `seed`, `role` ("dark frames", "photons"), `dark_layer`."""
+    ours = layer.metadata.get(METADATA_KEY) if layer is not None else None
+    return ours.get(key) if isinstance(ours, dict) else None
+
+
 def model_in(layer: Layer) -> Model | None:
     """The model that travelled in the layer's metadata, if any."""
     from napari_mufasa.model import Model
 
-    stored = layer.metadata.get(METADATA_KEY)
-    model = stored.get("model") if isinstance(stored, dict) else None
+    model = stored(layer, "model")
     if model is None:
         return None
     return model if isinstance(model, Model) else Model.from_dict(model)

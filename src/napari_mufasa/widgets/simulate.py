@@ -66,7 +66,16 @@ class SimulatePanel(Panel):
         model, space = result.model, movie_space(result.model)
         name = f"{model.protocol} simulated"
         if self.optical.isChecked():
-            add_movie(self.viewer, result.optical, f"{name}, photons", space, model, result.seed, visible=False)
+            add_movie(
+                self.viewer,
+                result.optical,
+                f"{name}, photons",
+                space,
+                model,
+                result.seed,
+                role="photons",
+                visible=False,
+            )
         movie = add_movie(self.viewer, result.movie, name, space, model, result.seed)
         if self.positions.isChecked():
             import pandas as pd

@@ -69,6 +69,7 @@ class WorkflowWidget(QWidget):
         layout.addWidget(self.stack, 1)
         layout.addLayout(bottom)
         self.setMinimumWidth(440)
+        fill_the_dock(self)
         self.show_step(0)
 
     def sizeHint(self) -> QSize:
@@ -125,6 +126,11 @@ def scrolled(panel: QWidget) -> QScrollArea:
     return area
 
 
+def fill_the_dock(widget: QWidget) -> None:
+    """napari puts an empty stretch below widgets that do not ask for the height; it would take half of the dock."""
+    widget.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+
+
 class _Single(QWidget):
     """One step as a dock of its own."""
 
@@ -137,6 +143,7 @@ class _Single(QWidget):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(scrolled(self.panel))
         self.setMinimumWidth(360)
+        fill_the_dock(self)
 
     def sizeHint(self) -> QSize:
         return QSize(420, 700)
