@@ -179,7 +179,9 @@ def _dark(
         raise MufasaError(f"dark has shape {dark.shape}, the movie's frames are {tuple(shape)}: give the same region")
     pixel = np.median(dark, axis=0) if len(dark) > 4 else np.full(shape, np.median(dark))
     values = (dark - pixel).ravel()
-    sd = float(1.4826 * np.median(np.abs(values)))
+    # Whole counts make the median deviation coarse: a random part of a count smooths it, and is taken off again.
+    smooth = values + np.random.default_rng(0).uniform(-0.5, 0.5, values.size)
+    sd = np.sqrt(max(float(1.4826 * np.median(np.abs(smooth))) ** 2 - 1 / 12, 0.0))
     sd *= np.sqrt(len(dark) / max(len(dark) - 1.57, 1.0)) if len(dark) > 4 else 1.0  # the median took its part
     core = values[np.abs(values) < TAIL_SD * max(sd, 0.5)]
     # Each frame's own offset (it wanders together) is the uncertainty of the mean, not the number of pixels.

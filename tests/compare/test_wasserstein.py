@@ -61,6 +61,17 @@ def test_a_million_samples_in_a_second():
     assert time.process_time() - start < 1.0
 
 
+def test_resampling_by_weights_is_resampling_of_traces():
+    from napari_mufasa.compare.wasserstein import _Pooled
+
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(12, 30)), rng.normal(1, 2, (9, 30))
+    i, j = rng.integers(12, size=12), rng.integers(9, size=9)
+    weights = np.concatenate([np.bincount(i, minlength=12) / 12, -np.bincount(j, minlength=9) / 9])
+    found = _Pooled(np.concatenate([a, b])).w1(weights)
+    assert found == pytest.approx(wasserstein(a[i], b[j]), rel=1e-9)
+
+
 def test_the_floor_is_what_a_perfect_model_scores():
     rng = np.random.default_rng(1)
 

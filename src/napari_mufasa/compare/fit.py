@@ -20,7 +20,7 @@ from napari_mufasa.model import Model
 from napari_mufasa.traces import TraceSet
 from napari_mufasa.traces.select import Dynamics, dynamics
 
-ROUNDS = 3
+ROUNDS = 2
 
 
 @dataclass(frozen=True)

@@ -43,11 +43,26 @@ def samples_w1(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     a, b = np.sort(a), np.sort(b)
     if len(a) == len(b):
         return float(np.abs(a - b).mean())
-    points = np.concatenate([a, b])
-    points.sort(kind="stable")  # two sorted runs: merged in linear time
-    share_a = np.searchsorted(a, points[:-1], side="right") / len(a)
-    share_b = np.searchsorted(b, points[:-1], side="right") / len(b)
-    return float(np.sum(np.abs(share_a - share_b) * np.diff(points)))
+    together = np.concatenate([a, b])
+    order = np.argsort(together, kind="stable")  # two sorted runs: merged in linear time
+    share = np.where(order < len(a), 1 / len(a), -1 / len(b))
+    return float(np.abs(np.cumsum(share)[:-1]) @ np.diff(together[order]))
+
+
+class _Pooled:
+    """Many W1s between resampled molecules: all samples are sorted once, then only their weights change."""
+
+    def __init__(self, traces: NDArray[np.floating]) -> None:
+        values = traces.ravel()
+        order = np.argsort(values, kind="stable")
+        self.gaps = np.diff(values[order])
+        self.molecule = order // traces.shape[1]
+        self.n_frames = traces.shape[1]
+
+    def w1(self, weights: NDArray[np.float64]) -> float:
+        """W1 between positive and negative weights per molecule, each summing to one in size."""
+        difference = np.cumsum(weights[self.molecule])[:-1] / self.n_frames
+        return float(np.abs(difference) @ self.gaps)
 
 
 def traces_w1(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
@@ -77,11 +92,17 @@ def floor(measured: Any, rows: Rows = "frames", n_splits: int = 50, rng: np.rand
     rng = rng or np.random.default_rng(0)
     if len(traces) < 2:
         return Floor(float("nan"), float("nan"), float("nan"))
-    values = []
     half = len(traces) // 2
+    pooled = _Pooled(traces)
+    values = []
     for _ in range(n_splits):
         order = rng.permutation(len(traces))
-        values.append(wasserstein(traces[order[:half]], traces[order[half : 2 * half]], rows))
+        if rows == "frames":
+            weights = np.zeros(len(traces))
+            weights[order[:half]], weights[order[half : 2 * half]] = 1 / half, -1 / half
+            values.append(pooled.w1(weights))
+        else:
+            values.append(wasserstein(traces[order[:half]], traces[order[half : 2 * half]], rows))
     low, high = np.percentile(values, [2.5, 97.5])
     return Floor(float(np.mean(values)), float(low), float(high))
 
@@ -97,12 +118,17 @@ def bootstrap_interval(
     a, b = _traces(measured, "measured"), _traces(simulated, "simulated")
     rng = rng or np.random.default_rng(0)
     centre = wasserstein(a, b, rows)
-    values = np.array(
-        [
-            wasserstein(a[rng.integers(len(a), size=len(a))], b[rng.integers(len(b), size=len(b))], rows)
-            for _ in range(n)
-        ]
-    )
+    pooled = _Pooled(np.concatenate([a, b])) if a.shape[1] == b.shape[1] and rows == "frames" else None
+    drawn = []
+    for _ in range(n):
+        i, j = rng.integers(len(a), size=len(a)), rng.integers(len(b), size=len(b))
+        if pooled is None:
+            drawn.append(wasserstein(a[i], b[j], rows))
+        else:
+            first = np.bincount(i, minlength=len(a)) / len(a)
+            second = np.bincount(j, minlength=len(b)) / len(b)
+            drawn.append(pooled.w1(np.concatenate([first, -second])))
+    values = np.array(drawn)
     low, high = np.percentile(values, [2.5, 97.5]) - (values.mean() - centre)
     return max(0.0, float(min(low, centre))), float(max(high, centre))
 
