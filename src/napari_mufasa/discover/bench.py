@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.errors import Cancelled
 from napari_mufasa.model import Model
-from napari_mufasa.observe import Observation, observe
+from napari_mufasa.observe import DarkView, Observation, observe, view_dark
 from napari_mufasa.simulation import simulate, simulate_dark
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class Bench:
         self.done = 0
         self.planned = 1
         self._progress, self._cancel = progress, cancel
-        self._dark: dict[tuple[str, int], NDArray[np.uint16]] = {}
+        self._dark: dict[tuple[str, int], DarkView] = {}
         self._eyes = measurement.model  # the same eyes for all: units and PSF width believed
         self.measured = observe(measurement.movie, self._eyes, measurement.dark)
 
@@ -76,19 +76,17 @@ class Bench:
     def _one(self, model: Model, number: int) -> Observation:
         seed = self.seed * 100_003 + number
         movie = simulate(model, seed=seed).movie
-        dark = None if self.measurement.dark is None else self._dark_frames(model, seed)
+        dark = None if self.measurement.dark is None else self._dark_view(model, seed)
         return observe(movie, self._eyes, dark)
 
-    def _dark_frames(self, model: Model, seed: int) -> NDArray[np.uint16]:
+    def _dark_view(self, model: Model, seed: int) -> DarkView:
         """Dark frames depend on the camera and its effects only: made once for each."""
         assert self.measurement.dark is not None
         camera_effects = tuple(e for e in model.effects if e.stage == CAMERA_STAGE)
         model = model.model_copy(update={"effects": camera_effects})
         key = (repr((model.camera, camera_effects)), seed)
         if key not in self._dark:
-            if len(self._dark) > 200:
-                self._dark.clear()
-            self._dark[key] = simulate_dark(model, len(self.measurement.dark), seed)
+            self._dark[key] = view_dark(simulate_dark(model, len(self.measurement.dark), seed), self._eyes)
         return self._dark[key]
 
 

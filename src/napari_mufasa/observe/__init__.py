@@ -41,7 +41,31 @@ class Observation:
         return result
 
 
-def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | None = None) -> Observation:
+PART_LABELS = ((1, 2), (1,), (2,))
+
+
+@dataclass(frozen=True)
+class DarkView:
+    """Observables of dark frames, one table for each part: made once where many movies share dark frames."""
+
+    tables: tuple[Table, ...]
+
+
+def view_dark(dark: NDArray[Any], model: Model) -> DarkView:
+    """Observables of dark frames (frame, y, x) ADU."""
+    counts = _counts(dark)
+    tiles = checkerboard(dark.shape[1:])
+    pixels = pixel_statistics(counts, model.camera.baseline_adu, tiles, 2)
+    tables = []
+    for labels in PART_LABELS:
+        table = Table()
+        part = Part(labels, np.zeros(0, dtype=bool))
+        field.dark(table, pixels, tiles, part, photoelectrons_per_adu(model), len(dark))
+        tables.append(table)
+    return DarkView(tuple(tables))
+
+
+def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | DarkView | None = None) -> Observation:
     """Observables of a movie (frame, y, x) ADU, and of its dark frames.
 
     `model` gives the camera's units and the PSF width to look for; nothing else of it is used. Peak memory:
@@ -59,18 +83,16 @@ def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | None = None)
     pixels = pixel_statistics(movie, camera.baseline_adu, label, 2)
     at = np.clip(np.rint(positions).astype(int), 0, np.array(movie.shape[1:]) - 1)
     side = tiles[at[:, 0], at[:, 1]]
-    dark_pixels = None
-    if dark is not None:
-        dark = _counts(dark)
-        dark_pixels = pixel_statistics(dark, camera.baseline_adu, tiles, 2)
+    if dark is not None and not isinstance(dark, DarkView):
+        dark = view_dark(dark, model)
     tables = []
-    for labels in ((1, 2), (1,), (2,)):
+    for i, labels in enumerate(PART_LABELS):
         table = Table()
         part = Part(labels, np.isin(side, labels))
         summary.molecules(table, spots, part, movie.shape[1:])
         field.background(table, pixels, spots, label, tiles, part, scale)
-        if dark is not None and dark_pixels is not None:
-            field.dark(table, dark_pixels, tiles, part, scale, len(dark))
+        if dark is not None:
+            table.include(dark.tables[i])
         tables.append(table)
     names = tuple(tables[0].values)
     values = np.array([list(t.values.values()) for t in tables])

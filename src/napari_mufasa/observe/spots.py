@@ -207,7 +207,7 @@ def _weights(centre: Array, size: int, sigma_px: float) -> Array:
 def _pseudo_inverse(terms: list[Array]) -> Array:
     design: Array = np.stack([t.reshape(*t.shape[:-2], -1) for t in terms], axis=-2)  # (…, term, pixel)
     gram: Array = design @ np.swapaxes(design, -1, -2)
-    result: Array = np.linalg.solve(gram, design)
+    result: Array = np.asarray(np.linalg.solve(gram, design), dtype=np.float64)
     return result
 
 

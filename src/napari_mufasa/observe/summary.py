@@ -71,7 +71,11 @@ def _mean(values: Array, default: float = 0.0) -> float:
 
 
 def _quantile(values: Array, q: float, default: float = 0.0) -> float:
-    return float(np.quantile(values, q)) if values.size else default
+    """Nearest-rank quantile: a partition is much cheaper than `np.quantile`, and this runs hundreds of times."""
+    if not values.size:
+        return default
+    rank = min(int(q * values.size), values.size - 1)
+    return float(np.partition(values, rank)[rank])
 
 
 def _levels(table: Table, states: OnStates, positions: Array, shape_px: tuple[int, int]) -> None:

@@ -28,6 +28,11 @@ class Table:
         self.values[name] = number if np.isfinite(number) else 0.0
         self.meanings[name] = Meaning(title, unit, where)
 
+    def include(self, other: Table) -> None:
+        """Append another table's rows."""
+        self.values |= other.values
+        self.meanings |= other.meanings
+
     def log(self, name: str, value: float, title: str, where: str, floor: float = 1e-12) -> None:
         """A positive quantity, kept as its logarithm: relative changes are what matters."""
         self.add(name, np.log(max(value, floor)) if np.isfinite(value) else 0.0, title, "ln", where)
