@@ -134,8 +134,9 @@ def _still_off(report: Report) -> str:
         return "<p>No observable of the completed model is more than 3 standard deviations from the measurement.</p>"
     order = off["z_after"].abs().sort_values(ascending=False).index
     rows = "".join(_row(row) for _, row in off.loc[order[:12]].iterrows())
+    stay = "stays" if len(off) == 1 else "stay"
     return (
-        f"<p>{len(off)} of {len(report.observables)} observables {'stays' if len(off) == 1 else 'stay'} more than 3 standard deviations off.</p>"
+        f"<p>{len(off)} of {len(report.observables)} observables {stay} more than 3 standard deviations off.</p>"
         f"<div class=wide><table>{_HEAD}{rows}</table></div>"
     )
 
