@@ -96,12 +96,13 @@ def test_samples_open_with_their_model(viewer, key):
 
 
 def test_samples_dark_frames_are_taken_and_never_the_movie(viewer):
-    from napari_mufasa.widgets.panel import MovieChooser
     from napari_mufasa.widgets.session import session_of
 
+    # Through the manifest, because napari then hands out a proxy of the viewer.
+    _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
     session = session_of(viewer)
-    chooser = MovieChooser(session)
-    viewer.window.add_dock_widget(chooser)
+    assert workflow.session is session
+    chooser = workflow.step("Data").chooser
     dark, movie = viewer.open_sample("napari-mufasa", "hidden_effect")
     assert session.movie_layer is movie
     assert session.dark_layer is dark

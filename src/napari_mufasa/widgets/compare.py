@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.widgets.fields import number_text
 from napari_mufasa.widgets.jobs import guarded
 from napari_mufasa.widgets.model_panel import ModelSource
-from napari_mufasa.widgets.panel import MovieChooser, Panel, seed_row
+from napari_mufasa.widgets.panel import MovieChooser, Panel, Tabs, seed_row
 from napari_mufasa.widgets.plot import PlotCanvas
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class ComparePanel(Panel):
         inside.setContentsMargins(0, 4, 0, 0)
         inside.addWidget(self.which)
         inside.addWidget(self.curves, 1)
-        self.tabs = QTabWidget()
+        self.tabs = Tabs(320)
         self.tabs.addTab(self.distances, "Distances")
         self.tabs.addTab(page, "Distributions")
         self.column.addWidget(self.tabs, 1)

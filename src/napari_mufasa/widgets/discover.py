@@ -12,7 +12,6 @@ from qtpy.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QPushButton,
-    QTabWidget,
     QTextBrowser,
     QVBoxLayout,
     QWidget,
@@ -21,7 +20,7 @@ from qtpy.QtWidgets import (
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import Quiet, guarded
 from napari_mufasa.widgets.model_panel import ModelSource
-from napari_mufasa.widgets.panel import MovieChooser, Panel, seed_row
+from napari_mufasa.widgets.panel import MovieChooser, Panel, Tabs, seed_row
 from napari_mufasa.widgets.plot import PlotCanvas
 from napari_mufasa.widgets.tables import add_row, table
 from napari_mufasa.widgets.telling import headline, matching_curve, title_of, told, words_of
@@ -69,7 +68,7 @@ class DiscoverPanel(Panel):
         self.verdict = QLabel()
         self.verdict.setWordWrap(True)
         self.verdict.hide()
-        self.tabs = QTabWidget()
+        self.tabs = Tabs(430)
         self.tabs.addTab(self._where(), "Where it fails")
         self.tabs.addTab(self._what(), "What is missing")
         self.history = PlotCanvas(self.viewer, "The error after each step appears here.", 260)

@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QFileDialog, QF
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import guarded
 from napari_mufasa.widgets.layers import add_points, slim
-from napari_mufasa.widgets.panel import MovieChooser, Panel
+from napari_mufasa.widgets.panel import MovieChooser, Panel, takes_the_rest
 from napari_mufasa.widgets.plot import PlotCanvas
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ class MoleculesPanel(Panel):
         self.column.addLayout(form)
         self.column.addWidget(self.run_bar)
         self.plot = PlotCanvas(self.viewer, "The trace of the molecule you click appears here.", 240)
+        takes_the_rest(self.plot, 240)
         self.column.addWidget(self.plot, 1)
         self.toggle_button = QPushButton("Keep / reject this molecule")
         self.toggle_button.setToolTip("Your own judgement; the reason column says so")

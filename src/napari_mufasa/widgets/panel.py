@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QSpinBox, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QSizePolicy, QSpinBox, QTabWidget, QVBoxLayout, QWidget
 
 from napari_mufasa.widgets.jobs import RunBar, Work, guarded
 from napari_mufasa.widgets.layers import LayerCombo
-from napari_mufasa.widgets.session import Session, session_of
+from napari_mufasa.widgets.session import Session, session_of, unwrapped
 
 if TYPE_CHECKING:
     from napari.viewer import Viewer
@@ -54,8 +54,8 @@ class Panel(QWidget):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__()
-        self.viewer = viewer
-        self.session = session_of(viewer)
+        self.viewer = unwrapped(viewer)
+        self.session = session_of(self.viewer)
         self.column = QVBoxLayout(self)
         self.column.setContentsMargins(6, 6, 6, 6)
         self.column.setSpacing(6)
@@ -81,6 +81,23 @@ class Panel(QWidget):
 
     def start(self, title: str, work: Work, done: Any) -> None:
         self.run_bar.start(title, work, done)
+
+
+class Tabs(QTabWidget):
+    """Tabs that take what height there is: their pages' wishes would make the panel scroll."""
+
+    def __init__(self, at_least: int) -> None:
+        super().__init__()
+        takes_the_rest(self, at_least)
+
+    def hasHeightForWidth(self) -> bool:
+        return False
+
+
+def takes_the_rest(widget: QWidget, at_least: int) -> None:
+    """Let a part of a panel have the height that is left, and scroll only below `at_least` pixels."""
+    widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+    widget.setMinimumHeight(at_least)
 
 
 def seed_row() -> tuple[QSpinBox, QHBoxLayout]:

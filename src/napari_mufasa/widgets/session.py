@@ -162,8 +162,15 @@ class Session(QObject):
 _SESSIONS: WeakKeyDictionary[Any, Session] = WeakKeyDictionary()
 
 
+def unwrapped(viewer: Viewer) -> Viewer:
+    """The viewer itself: napari hands plugins a proxy, whose layers are new proxies at every look."""
+    found: Viewer = getattr(viewer, "__wrapped__", viewer)
+    return found
+
+
 def session_of(viewer: Viewer) -> Session:
     """The one session of a viewer."""
+    viewer = unwrapped(viewer)
     if viewer not in _SESSIONS:
         _SESSIONS[viewer] = Session(viewer)
     return _SESSIONS[viewer]

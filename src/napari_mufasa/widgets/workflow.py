@@ -17,7 +17,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_mufasa.widgets.session import session_of
+from napari_mufasa.widgets.session import session_of, unwrapped
 
 if TYPE_CHECKING:
     from napari.viewer import Viewer
@@ -36,8 +36,8 @@ class WorkflowWidget(QWidget):
 
     def __init__(self, napari_viewer: Viewer) -> None:
         super().__init__()
-        self.session = session_of(napari_viewer)
-        self._viewer = napari_viewer
+        self._viewer = unwrapped(napari_viewer)
+        self.session = session_of(self._viewer)
         self.steps: dict[str, QWidget] = {}
         self.buttons = QButtonGroup(self)
         self.buttons.setExclusive(True)
@@ -138,7 +138,7 @@ class _Single(QWidget):
 
     def __init__(self, napari_viewer: Viewer) -> None:
         super().__init__()
-        self.panel = panel_class(self.step_name)(napari_viewer)
+        self.panel = panel_class(self.step_name)(unwrapped(napari_viewer))
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(scrolled(self.panel))
