@@ -19,6 +19,7 @@ from napari_mufasa.model import Model
 
 Array = NDArray[np.float64]
 ROUNDS = ((9, 0.45), (9, 0.2))  # simulations and spread of the parameters (log units or quarters of the range)
+FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
 
@@ -71,7 +72,9 @@ def planned_simulations() -> int:
 def refine(library: Library, state: State, start: Effect, x: Array) -> Fit:
     """Fit `start` into `state` so that it explains the measurement x (part, observable)."""
     bench = library.bench
-    coordinates = Coordinate.of(start, state.model)
+    seen = start.read_off(bench.measured)
+    start = changed(start, seen)
+    coordinates = [c for c in Coordinate.of(start, state.model) if c.name not in seen]
     n = len(coordinates)
     model = state.model.with_effects(start)
     free = (*state.free, *(f"{start.kind}.{c.name}" for c in coordinates))
@@ -127,7 +130,11 @@ def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
     misfit = state.misfit(x)
     excess = max(1.0, misfit / len(library.bench.names))
     sd = np.sqrt(np.diag(covariance)[len(loose) - n_effect :] * excess)
-    named = {c.name: c.sd(effect, float(s)) for c, s in zip(Coordinate.of(effect, local.model), sd, strict=True)}
+    named = {}
+    for path, s in zip(local.free[len(loose) - n_effect :], sd, strict=True):
+        coordinate = next(c for c in Coordinate.of(effect, local.model) if f"{effect.kind}.{c.name}" == path)
+        by_noise, by_simulation = coordinate.sd(effect, float(s)), FINITE * abs(float(getattr(effect, coordinate.name)))
+        named[coordinate.name] = float(np.hypot(by_noise, by_simulation))
     return Fit(state, effect, named, state.score(x), misfit)
 
 

@@ -28,8 +28,10 @@ from napari_mufasa.model import Model
 Array = NDArray[np.float64]
 ALARM = 0.03  # false alarms wanted on an adequate model, evidence and misfit together about 5 %
 MISFIT_ALARM = 0.01
-SECOND = 0.01  # stricter for every further effect
+SECOND = 0.01  # stricter for every further effect …
 FINALISTS = 5  # leads that are fitted by direct simulation
+SECOND_SHARE = 0.02  # … and with at least this share of the evidence of those before it
+AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
@@ -106,6 +108,11 @@ class Investigation:
     @property
     def chosen(self) -> list[str]:
         return [f.effect.kind for f in self._fits]
+
+    @property
+    def explained(self) -> float:
+        """Evidence of the effects in the model, together."""
+        return self.library.base.score(self.x) - self.state.score(self.x)
 
     # Steps --------------------------------------------------------------------------------------------------
 
@@ -260,8 +267,15 @@ def refine(
 def _helps(inquiry: Investigation, best: Candidate) -> bool:
     """Does adding it lower the held-out error and pass the (stricter) threshold?"""
     before = inquiry.state.held_out_error(inquiry.x)
-    falls = best.error_after is not None and best.error_after < before * (0.99 if not inquiry.chosen else 0.97)
-    return falls and best.p_value < (ALARM if not inquiry.chosen else SECOND)
+    if best.error_after is None or best.error_after >= before:
+        return False
+    if not inquiry.chosen:
+        return best.p_value < ALARM
+    # What the first effects leave is also the error of their own form: a further effect must stand out from it,
+    # more so where the held-out error is at its floor already.
+    at_the_floor = before <= AT_FLOOR * inquiry.state.floor()
+    needed = SECOND_SHARE * inquiry.explained * (3.0 if at_the_floor else 1.0)
+    return best.evidence > needed and best.p_value < (SECOND**2 if at_the_floor else SECOND)
 
 
 def _finalists(leads: dict[str, Lead]) -> list[str]:

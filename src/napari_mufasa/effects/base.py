@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 
 if TYPE_CHECKING:
     from napari_mufasa.model import Model
+    from napari_mufasa.observe import Observation
     from napari_mufasa.scene import Scene
 
 ENTRY_POINT_GROUP = "napari_mufasa.effects"
@@ -77,6 +78,11 @@ class Effect(BaseModel):
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         """Change the scene in place; `rng` is this effect's own stream."""
         raise NotImplementedError(f"effect {type(self).__name__} does nothing: override apply()")
+
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, float]:
+        """Parameters that the movie shows directly, so that no fit needs to search for them."""
+        return {}
 
     @classmethod
     def suits(cls, model: Any) -> bool:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from napari_mufasa.effects.base import Effect, parameter
 from napari_mufasa.effects.illumination import course
 from napari_mufasa.scene import Scene
+
+if TYPE_CHECKING:
+    from napari_mufasa.observe import Observation
 
 STAGE = "sample motion"
 
@@ -32,6 +35,12 @@ class StageDrift(Effect):
         45.0, plausible=(0, 360), unit="deg", description="direction; 0 along x, 90 along y"
     )
     form: Literal["linear", "saturating", "wandering"] = "linear"
+
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, float]:
+        """The direction is that of the spots' common path."""
+        y, x = observation.spots.path_px[-1]
+        return {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)

@@ -139,7 +139,7 @@ class LongDarkState(_DarkState):
         description="rate into the dark at full light",
     )
     dark_time_s: float = parameter(
-        0.8, gt=0, plausible=(0.09, 3), follows="movie_s", unit="s", log=True, description="mean time in the dark"
+        0.8, gt=0, plausible=(0.09, 3), follows="frame_s", unit="s", log=True, description="mean time in the dark"
     )
     form: Literal["exponential", "power_law"] = "exponential"
     start: Literal["bright", "equilibrium"] = "bright"
