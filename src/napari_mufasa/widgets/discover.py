@@ -231,6 +231,7 @@ class DiscoverPanel(Panel):
 
     def _fill_failing(self, report: Report) -> None:
         self.failing.setRowCount(0)
+        self.failing.setColumnHidden(2, not report.chosen)
         for item in report.failing:
             where = f"\n{item['where']}" if item.get("where") else ""
             tip = f"{item.get('title', item['observable'])}{where}"
@@ -255,7 +256,7 @@ class DiscoverPanel(Panel):
         name = str(chosen.data(Qt.ItemDataRole.UserRole))
         curve = matching_curve(name, self.report.curves)
         row = self.report.observables.query("observable == @name")
-        title = told(row.iloc[0]) if len(row) else ""
+        title = told(row.iloc[0], bool(self.report.chosen)) if len(row) else ""
         if curve is None:  # a single number: show it among the others
             observables = self.report.observables
 

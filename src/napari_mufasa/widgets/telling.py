@@ -48,12 +48,12 @@ def headline(report: Report) -> tuple[str, str]:
     )
 
 
-def told(row: Any) -> str:
-    """One observable in numbers."""
+def told(row: Any, completed: bool) -> str:
+    """One observable in numbers; `completed` once an effect was added."""
     unit = f" {row['unit']}" if row["unit"] else ""
-    return (
-        f"<b>{row['title']}</b>: measured {row['measured']:.3g}, model {row['before']:.3g} ± {row['sd']:.2g}{unit}"
-        f" · now {row['after']:.3g}"
+    model = f"model {row['before']:.3g} ± {row['sd']:.2g}{unit}"
+    return f"<b>{row['title']}</b>: measured {row['measured']:.3g}, {model}" + (
+        f" · now {row['after']:.3g}" if completed else ""
     )
 
 
