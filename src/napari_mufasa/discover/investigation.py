@@ -77,8 +77,8 @@ class Investigation:
             )
         self._library: Library | None = None
         self._null: Null | None = None
-        self._fits: list[Fit] = []
-        self._ranking: list[Candidate] = []
+        self.fits: list[Fit] = []
+        self.ranking: list[Candidate] = []
         self._tried: dict[str, Fit] = {}
 
     # What is known ------------------------------------------------------------------------------------------
@@ -99,7 +99,7 @@ class Investigation:
     @property
     def state(self) -> State:
         """The model as it stands: the base, or the last fit."""
-        return self._fits[-1].state if self._fits else self.library.base
+        return self.fits[-1].state if self.fits else self.library.base
 
     @property
     def x(self) -> Array:
@@ -107,7 +107,7 @@ class Investigation:
 
     @property
     def chosen(self) -> list[str]:
-        return [f.effect.kind for f in self._fits]
+        return [f.effect.kind for f in self.fits]
 
     @property
     def explained(self) -> float:
@@ -131,7 +131,7 @@ class Investigation:
     def alarmed(self) -> bool:
         """Is the model inadequate beyond chance?"""
         lead = max((lead.gain for lead in self.leads().values()), default=0.0)
-        if self._fits:
+        if self.fits:
             return self.null.p_evidence(lead) < SECOND
         return self.null.p_evidence(lead) < ALARM or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
 
@@ -142,15 +142,15 @@ class Investigation:
         self.bench.plan(len(finalists) * fit.planned_simulations())
         self._tried = {kind: fit.refine(self.library, self.state, leads[kind].start(), self.x) for kind in finalists}
         fitted = sorted(self._tried.items(), key=lambda item: item[1].score)
-        self._ranking = []
+        self.ranking = []
         for kind, found in fitted:
             near = tuple(k for k, other in fitted if k != kind and abs(other.score - found.score) < NEAR)
-            self._ranking.append(self._candidate(found, near))
+            self.ranking.append(self._candidate(found, near))
         for kind, lead in leads.items():
             if kind not in self._tried:
                 p = self.null.p_evidence(lead.gain)
-                self._ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, _parameters(lead.start()), {}))
-        return self._ranking
+                self.ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, _parameters(lead.start()), {}))
+        return self.ranking
 
     def add(self, what: str | Effect | Candidate) -> None:
         """Fit an effect into the model as it stands, and keep it; where misfit is left, in its best form."""
@@ -163,12 +163,11 @@ class Investigation:
         else:
             found = self._tried.get(kind) or fit.refine(self.library, self.state, self._start(kind), self.x)
             found = self._best_form(found)
-        if not self._fits:  # the ranking tells of the base model: its entry becomes the form that was kept
-            entries = [
-                self._candidate(found, c.indistinguishable_from) if c.effect == kind else c for c in self._ranking
-            ]
-            self._ranking = entries
-        self._fits.append(found)
+        near = {c.effect: c.indistinguishable_from for c in self.ranking}.get(kind, ())
+        others = [c for c in self.ranking if c.effect != kind]
+        place = next((i for i, c in enumerate(self.ranking) if c.effect == kind), len(others))
+        self.ranking = [*others[:place], self._candidate(found, near), *others[place:]]
+        self.fits.append(found)
         self._tried = {}
 
     def _best_form(self, found: Fit) -> Fit:
@@ -182,9 +181,9 @@ class Investigation:
 
     def undo(self) -> None:
         """Take the last effect out again."""
-        if not self._fits:
+        if not self.fits:
             raise MufasaError("nothing to undo: no effect was added")
-        self._fits.pop()
+        self.fits.pop()
         self._tried = {}
 
     def report(self, verdict: Verdict | None = None) -> Report:
@@ -232,17 +231,16 @@ def diagnose(
     """
     inquiry = Investigation(movie, model, dark, seed=seed, effects=effects, progress=progress, cancel=cancel)
     inquiry.examine()
-    first_ranking: list[Candidate] | None = None
-    while len(inquiry.chosen) < max_effects and inquiry.alarmed():
-        ranking = inquiry.rank()
-        if first_ranking is None:
-            first_ranking = ranking
-        best = ranking[0]
-        if best.error_after is None or not _helps(inquiry, best):
+    told: list[Candidate] = []  # the ranking a reader wants is that of the base model
+    while len(inquiry.chosen) < max_effects and inquiry.leads() and inquiry.alarmed():
+        best = inquiry.rank()[0]
+        helps = _helps(inquiry, best)
+        if helps:
+            inquiry.add(best)
+        told = told or inquiry.ranking
+        if not helps:
             break
-        inquiry.add(best)
-    if first_ranking is not None:
-        inquiry._ranking = first_ranking
+    inquiry.ranking = told
     return inquiry.report()
 
 

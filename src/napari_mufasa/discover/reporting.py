@@ -24,7 +24,7 @@ CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Report:
     """Everything a report holds, from the investigation as it stands."""
     library, x = inquiry.library, inquiry.x
-    states = [library.base, *(f.state for f in inquiry._fits)]
+    states = [library.base, *(f.state for f in inquiry.fits)]
     final = states[-1]
     # Every model of the history is judged with the final model's spread, so that the errors compare.
     errors = [_as_seen_by(state, final).held_out_error(x) for state in states]
@@ -41,7 +41,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         verdict=verdict,
         error={"before": errors[0], "after": errors[-1], "floor": floor, "unit": ERROR_UNIT},
         failing=_failing(table),
-        ranking=list(inquiry._ranking),
+        ranking=list(inquiry.ranking),
         chosen=inquiry.chosen,
         history=history,
         model=_restored(final.model, inquiry.believed),
@@ -58,7 +58,12 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
 def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
     """adequate, missing_effect or unexplained (DISCOVERY.md, decision rules)."""
     if not inquiry.chosen:
-        return "unexplained" if inquiry.alarmed() else "adequate"
+        if not inquiry.alarmed():
+            return "adequate"
+        # Nothing was added yet (or nothing helped): is there an effect that would explain it?
+        best = inquiry.ranking[0] if inquiry.ranking else None
+        explains = best is not None and best.share_explained is not None and best.share_explained >= EXPLAINED
+        return "missing_effect" if explains else "unexplained"
     share = (errors[0] - errors[-1]) / max(errors[0] - floor, 1e-9)
     left = inquiry.null.p_misfit(inquiry.state.misfit(inquiry.x))
     return "unexplained" if left < STILL_OFF and share < EXPLAINED else "missing_effect"
@@ -141,8 +146,8 @@ def _notes(inquiry: Investigation, verdict: Verdict, table: pd.DataFrame) -> lis
     if inquiry.chosen and len(left):
         worst = left.sort_values("z_after", key=np.abs, ascending=False).title.head(4)
         notes.append(f"Still off after the additions: {'; '.join(worst)}.")
-    if verdict == "unexplained" and inquiry._ranking:
+    if verdict == "unexplained" and inquiry.ranking:
         notes.append(
-            f"No effect in the catalogue explains this. The nearest resemblance is {inquiry._ranking[0].effect}."
+            f"No effect in the catalogue explains this. The nearest resemblance is {inquiry.ranking[0].effect}."
         )
     return notes
