@@ -146,6 +146,14 @@ def calibrate(
     )  # fmt: skip
 
 
+def _counts(data: Any, what: str) -> NDArray[Any]:
+    """Raw counts; raises `MufasaError` for what no camera records."""
+    counts: NDArray[Any] = np.asarray(data)
+    if counts.dtype.kind not in "uif" or not np.isfinite(counts).all() or (counts.size and counts.min() < 0):
+        raise MufasaError(f"{what} hold values that are negative or no numbers: give the raw counts (ADU)")
+    return counts
+
+
 def leading_dark_frames(movie: Any) -> int:
     """How many frames at the beginning are dark: before a sudden, lasting rise of the mean; 0 if none."""
     n = int(movie.shape[0])
@@ -174,7 +182,7 @@ def _dark(
         if baseline is None:
             notes.append(f"no dark frames: read noise taken as {read.value:g} ADU, baseline from the variance")
         return base, read, nan, None
-    dark = np.atleast_3d(np.asarray(dark, dtype=np.float64))
+    dark = _counts(dark, "dark frames").astype(np.float64)
     if np.ndim(dark) != 3 or dark.shape[1:] != tuple(shape):
         raise MufasaError(f"dark has shape {dark.shape}, the movie's frames are {tuple(shape)}: give the same region")
     pixel = np.median(dark, axis=0) if len(dark) > 4 else np.full(shape, np.median(dark))
@@ -209,7 +217,7 @@ def _photon_transfer(
         if cancel is not None and cancel():
             raise Cancelled
         most = max(4, CHUNK_BYTES // (4 * movie.shape[1] * movie.shape[2]))
-        stack = np.asarray(movie[start : min(stop, start + most)], dtype=np.float32)
+        stack = _counts(movie[start : min(stop, start + most)], "the movie's frames").astype(np.float32)
         if len(stack) < 4:
             continue
         # Second differences take a steady change of light out as well: var = mean(d²)/6.

@@ -41,6 +41,15 @@ class SensorHooks:
 IDEAL = SensorHooks()
 
 
+def check_counts(counts: NDArray[Any], camera: Camera) -> None:
+    """Raise `MufasaError` for counts that this camera cannot have recorded: below zero in spite of its baseline."""
+    if counts.dtype.kind != "u" and counts.size and camera.baseline_adu >= 1 and counts.min() < 0:
+        raise MufasaError(
+            f"movie has counts down to {counts.min():.6g}, the camera's baseline is {camera.baseline_adu:.6g} ADU: "
+            "give the raw counts, or set baseline_adu to 0 if it was subtracted"
+        )
+
+
 def expose(
     photons: Stack, camera: Camera, streams: Streams, frames: NDArray[np.int64], hooks: SensorHooks = IDEAL
 ) -> NDArray[np.uint16]:

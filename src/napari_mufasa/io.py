@@ -10,6 +10,7 @@ import json
 import logging
 import os
 import shutil
+import uuid
 import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -184,6 +185,10 @@ def _write_tiff(
     import tifffile
 
     described: dict[str, Any] = {"axes": "TYX", "Description": json.dumps({METADATA_KEY: metadata})}
+    if metadata["model"] is not None and metadata["seed"] is not None:
+        # OME wants an identifier: a simulated movie is what its model and seed are, to the last byte.
+        identity = json.dumps([metadata, list(shape), str(np.dtype(dtype))], sort_keys=True)
+        described["UUID"] = f"urn:uuid:{uuid.uuid5(uuid.NAMESPACE_OID, identity)}"
     if pixel_size_nm is not None:
         size_um = pixel_size_nm / 1000
         described |= {"PhysicalSizeX": size_um, "PhysicalSizeXUnit": "µm"}

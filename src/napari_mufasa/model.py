@@ -279,6 +279,8 @@ def explain(error: ValidationError, root: type[BaseModel], prefix: str = "") -> 
     first = error.errors()[0]
     loc = first["loc"]
     path = ".".join([prefix, *(str(part) for part in loc)] if prefix else [str(part) for part in loc])
+    if not loc and not prefix and first["type"] != "value_error":
+        path = f"the {root.__name__.lower()}"
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
         names = _known_keys(root, loc[:-1])

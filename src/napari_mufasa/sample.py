@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,19 @@ def grid(n: int, shape_px: tuple[int, int]) -> NDArray[np.float64]:
     return lattice[:n]
 
 
+def check_positions(positions_px: Any) -> NDArray[np.float64]:
+    """Positions as float64 (molecule, 2), (y, x) in pixels; raises `MufasaError` when they are not that."""
+    try:
+        positions = np.asarray(positions_px, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MufasaError("positions_px are no numbers: give finite (molecule, 2) positions (y, x) in pixels") from None
+    if positions.ndim != 2 or positions.shape[1] != 2 or not np.isfinite(positions).all():
+        raise MufasaError(
+            f"positions_px has shape {positions.shape}: give finite (molecule, 2) positions (y, x) in pixels"
+        )
+    return positions
+
+
 def read_positions(path: str | os.PathLike[str], pixel_size_nm: float) -> NDArray[np.float64]:
     """Positions (molecule, 2), (y, x) in pixels, from a CSV.
 
@@ -81,6 +94,8 @@ def read_positions(path: str | os.PathLike[str], pixel_size_nm: float) -> NDArra
     for unit, scale, origin in (("px", 1.0, 0.0), ("nm", pixel_size_nm, 0.5)):
         if {f"y_{unit}", f"x_{unit}"} <= set(table.columns):
             numbers = table[[f"y_{unit}", f"x_{unit}"]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+            if not len(numbers):
+                raise MufasaError(f"{path} holds no position: give at least one (an empty field is --n-molecules 0)")
             if not np.isfinite(numbers).all():
                 row = int(np.nonzero(~np.isfinite(numbers).all(axis=1))[0][0]) + 1
                 raise MufasaError(f"{path} has a position that is not a number (molecule {row}): remove that row")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import sample
-from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.errors import Cancelled, MufasaError, need
 from napari_mufasa.model import Model
 from napari_mufasa.photophysics.engines import Engine, Exposure, simulate_photons
 from napari_mufasa.scene import Recording, Scene, build_scene
@@ -55,14 +55,11 @@ class Acquisition:
         seed: int = 0,
         engine: Engine = "fast",
     ) -> None:
+        need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
         streams = Streams(seed)
         if positions_px is None:
             positions_px = sample.place(model, streams.of("positions"))
-        positions = np.asarray(positions_px, dtype=float)
-        if positions.ndim != 2 or positions.shape[1] != 2 or not np.isfinite(positions).all():
-            raise MufasaError(
-                f"positions_px has shape {positions.shape}: give finite (molecule, 2) positions (y, x) in pixels"
-            )
+        positions = sample.check_positions(positions_px)
         self.model = model
         self.seed = seed
         self.scene: Scene = build_scene(model, positions, streams)
@@ -145,6 +142,7 @@ def simulate_emission(
     """
     if isinstance(n_molecules, bool) or not isinstance(n_molecules, (int, np.integer)) or n_molecules < 0:
         raise MufasaError(f"n_molecules = {n_molecules!r}: give a whole number ≥ 0")
+    need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     streams = Streams(seed)
     positions = sample.scatter(int(n_molecules), model.acquisition.shape_px, 0.0, streams.of("positions"))
     return _emit(build_scene(model, positions, streams), engine)
@@ -154,6 +152,7 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
     """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects."""
     if isinstance(n_frames, bool) or not isinstance(n_frames, (int, np.integer)) or n_frames < 1:
         raise MufasaError(f"n_frames = {n_frames!r}: give a whole number ≥ 1")
+    need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     # Slow courses keep the movie's pace: the dark frames are as if taken at its beginning.
     frames = max(int(n_frames), model.acquisition.n_frames)
     acquisition = model.acquisition.model_copy(update={"n_frames": frames})

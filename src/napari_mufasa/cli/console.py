@@ -83,6 +83,7 @@ def check_movie_out(path: Path) -> None:
 def check_file_out(path: Path, directory: bool = False) -> None:
     if not path.parent.is_dir():
         raise MufasaError(f"no folder {path.parent}: make it first or choose another output path")
+    _check_writable(path.parent)
     if path.is_dir() and not directory:
         raise MufasaError(f"{path} is a folder: give the path of a file")
     if directory and path.is_dir() and any(path.iterdir()) and not (path / "zarr.json").exists():
@@ -92,6 +93,20 @@ def check_file_out(path: Path, directory: bool = False) -> None:
 def check_folder_out(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise MufasaError(f"{path} is a file: give the path of a folder")
+    # The folder is made with its parents, and its files come from a temporary folder beside it.
+    standing = next(parent for parent in path.absolute().parents if parent.exists())
+    if not standing.is_dir():
+        raise MufasaError(f"{standing} is a file: {path} cannot be made inside it; choose another output folder")
+    _check_writable(path if path.is_dir() else standing)
+    if path.is_dir():
+        _check_writable(standing)
+
+
+def _check_writable(folder: Path) -> None:
+    import os
+
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise MufasaError(f"cannot write into {folder}: allow it or choose another output path")
 
 
 @contextlib.contextmanager

@@ -134,7 +134,10 @@ def bootstrap_interval(
 
 
 def _traces(value: Any, name: str) -> NDArray[np.float64]:
-    array = np.asarray(getattr(value, "traces", value), dtype=np.float64)
+    array = np.asarray(getattr(value, "traces", value))
+    if array.dtype.kind not in "buif" and value is not None:
+        raise MufasaError(f"{name} traces hold {array.dtype}: needs real numbers (molecule, frame)")
+    array = array.astype(np.float64)
     if array.ndim == 1:
         array = array[None]
     if array.ndim != 2 or array.size == 0:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from napari_mufasa import camera as cam
-from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.errors import Cancelled, MufasaError, need
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,6 +73,9 @@ def denoise(
     """
     if method not in get_args(Method):
         raise MufasaError(f"method is {method!r}; choose one of {', '.join(get_args(Method))}")
+    from napari_mufasa.model import Camera
+
+    need(camera, Camera, "camera", "give model.camera")
     shape = tuple(getattr(movie, "shape", np.shape(movie)))
     if len(shape) == 2:
         movie, shape = np.asarray(movie)[None], (1, *shape)
@@ -120,6 +123,7 @@ class _Frames:
             raise MufasaError(
                 f"movie frames {start} to {stop - 1} hold values that are not finite; replace them before denoising"
             )
+        cam.check_counts(counts, self.camera)
         return cam.photoelectrons(counts, self.camera)
 
     def noise(self, electrons: Array) -> Any:

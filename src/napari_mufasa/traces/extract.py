@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.sample import check_positions
 from napari_mufasa.traces import detect, drift, profile, select
 from napari_mufasa.traces.frames import Frames, Progress, Unit
 from napari_mufasa.traces.spots import LitImages, Spots
@@ -161,7 +162,7 @@ def extract_traces(
         found, strength, _ = detect.candidates(image, sigma, method=options.threshold, value=options.threshold_value)
         outstanding = detect.prominence(image, found, sigma)
     else:
-        found = _check_positions(positions_px)
+        found = check_positions(positions_px)
         strength = outstanding = np.full(len(found), np.nan)
     if options.position not in ("fit", "brightest_pixel"):
         raise MufasaError(f"position {options.position!r} is unknown: choose 'fit' or 'brightest_pixel'")
@@ -329,16 +330,13 @@ def _options(options: Options | None, changes: dict[str, Any]) -> Options:
         raise MufasaError(f"profile {chosen.profile!r} is unknown: choose 'psf', 'sum' or 'brightest_pixel'")
     if chosen.psf_sigma_px is not None and not 0.3 <= chosen.psf_sigma_px <= 50:
         raise MufasaError(f"psf_sigma_px = {chosen.psf_sigma_px}: the PSF sd in pixels must lie in 0.3 … 50")
+    for name in ("window", "best"):
+        number = getattr(chosen, name)
+        if number is not None and (isinstance(number, bool) or not isinstance(number, (int, np.integer))):
+            raise MufasaError(f"{name} = {number!r}: give a whole number, or None for all")
     if chosen.best is not None and chosen.best < 1:
         raise MufasaError(f"best = {chosen.best}: keep at least 1 molecule, or give None for all")
     return chosen
-
-
-def _check_positions(positions: Any) -> NDArray[np.float64]:
-    array = np.asarray(positions, dtype=float)
-    if array.ndim != 2 or array.shape[1] != 2 or not np.isfinite(array).all():
-        raise MufasaError(f"positions_px has shape {array.shape}: give finite (molecule, 2) positions (y, x)")
-    return array
 
 
 def _counter(progress: Progress | None, total: int) -> Callable[[int], None]:

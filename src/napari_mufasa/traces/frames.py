@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import camera as detector
-from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.errors import Cancelled, MufasaError, need
 
 if TYPE_CHECKING:
     from napari_mufasa.model import Camera
@@ -35,6 +35,8 @@ class Frames:
         movie = getattr(movie, "data", movie) if not hasattr(movie, "shape") else movie
         if not hasattr(movie, "shape"):
             movie = np.asarray(movie)
+        from napari_mufasa.model import Camera
+
         if len(movie.shape) != 3 or 0 in movie.shape:
             raise MufasaError(f"movie has shape {tuple(movie.shape)}: needs a non-empty stack (frame, y, x)")
         if np.dtype(movie.dtype).kind not in "uif":
@@ -42,6 +44,7 @@ class Frames:
         if unit not in ("adu", "photoelectrons", "photons"):
             raise MufasaError(f"unit {unit!r} is unknown: choose 'adu', 'photoelectrons' or 'photons'")
         self.movie = movie
+        need(camera, Camera, "camera", "give model.camera")
         self.unit = unit
         self.shape: tuple[int, int, int] = (int(movie.shape[0]), int(movie.shape[1]), int(movie.shape[2]))
         self.camera = camera if dark is None else with_dark_baseline(camera, dark, self.shape[1:], unit)
@@ -70,6 +73,7 @@ class Frames:
         if raw.dtype.kind == "f" and not np.isfinite(raw).all():
             raise MufasaError("movie has values that are not finite: mask or crop those frames first")
         if self.unit == "adu":
+            detector.check_counts(raw, self.camera)
             return detector.photoelectrons(raw, self.camera)
         if self.unit == "photons":
             return np.asarray(raw, np.float32) * np.float32(self.camera.quantum_efficiency)
@@ -87,6 +91,8 @@ def with_dark_baseline(camera: Camera, dark: Any, shape_px: tuple[int, ...], uni
             f"dark has shape {dark.shape}, the movie's frames are {tuple(shape_px)}: "
             "give dark frames of the same region (frame, y, x)"
         )
+    if dark.dtype.kind not in "uif" or not np.isfinite(dark).all() or dark.mean(dtype=np.float64) < -0.5:
+        raise MufasaError("dark frames hold values that are negative or no numbers: give the raw counts (ADU)")
     if unit != "adu":
         raise MufasaError("dark frames correct the baseline of a movie in ADU; this one is already in " + unit)
     gain = float(camera.em_gain or 1.0)
