@@ -100,8 +100,11 @@ def test_the_envelope_is_told_honestly(kind, words, tmp_path):
     assert effect.title in lines[0] and words in lines[1]
 
 
-@pytest.mark.slow
-def test_the_demo_finds_what_it_hid(tmp_path):
+def test_the_demo_finds_what_it_hid(tmp_path, monkeypatch):
+    """The whole story on a smaller movie; `make demo` plays it at full size."""
+    acquisition = demo.BELIEVED["acquisition"] | {"n_frames": 150, "shape_px": [64, 64]}
+    sample = demo.BELIEVED["sample"] | {"n_molecules": 22}
+    monkeypatch.setattr(demo, "BELIEVED", demo.BELIEVED | {"acquisition": acquisition, "sample": sample})
     found = demo.run(tmp_path, seed=1, say=lambda line: None)
     told = json.loads((tmp_path / "diagnosis/report.json").read_text())
     assert told["error"]["after"] < 0.6 * told["error"]["before"]

@@ -54,7 +54,7 @@ def toy_state(p=25, free=1):
     slopes[:, :4] = 3.0
     return State(
         model, np.zeros((3, p)), np.ones((3, p)), slopes, np.full(free, 2.0), np.stack([np.eye(p)] * 3),
-        rng.standard_normal((10, 3, p)), ("optics.brightness_correction",) * free,
+        rng.standard_normal((10, 3, p)), ("optics.brightness_correction",) * free, np.full(p, 0.1),
     )  # fmt: skip
 
 
@@ -119,6 +119,17 @@ def test_nuisance_values_are_those_the_model_has():
     values = nuisance.nuisances(model)
     moved = nuisance.apply(model, values, np.array([np.log(1.1)] + [0.0] * (len(values) - 1)))
     assert moved.optics.brightness_correction == pytest.approx(1.1)
+
+
+def test_density_stays_within_what_the_field_can_hold():
+    model = nm.preset("EGFP").with_values(
+        {"acquisition.shape_px": (64, 64), "sample.min_distance_px": 6.0, "sample.n_molecules": 22}
+    )
+    values = nuisance.nuisances(model)
+    crowded = nuisance.apply(model, values, np.full(len(values), 10.0))
+    assert 22 < crowded.sample.n_molecules < 70
+    for n in (1, 10_000):
+        nm.simulate(nuisance.with_molecules(model, n).with_values({"acquisition.n_frames": 1}), seed=1)
 
 
 def test_preparation_crops_large_movies_and_says_so():

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, State, changed
-from napari_mufasa.discover.metric import spread_floor
 from napari_mufasa.effects import Effect
 from napari_mufasa.model import Model
 
@@ -121,7 +120,7 @@ def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
     variance = (PRIOR_SIMULATIONS * library.base.spread**2 + (wild**2).sum(axis=0)) / (
         PRIOR_SIMULATIONS + len(rows) - 1
     )
-    spread = np.maximum(np.sqrt(variance), spread_floor(library.bench.names))
+    spread = np.maximum(np.sqrt(variance), local.least_spread)
     prior = np.concatenate([local.prior[: len(local.prior) - n_effect], np.full(n_effect, 0.3)])
     state = replace(local, mean=mean, spread=spread, check=rows, prior=prior)
     slope = state.whiten[0] @ (state.slopes[0] / spread[0][:, None])

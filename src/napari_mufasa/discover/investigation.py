@@ -20,14 +20,14 @@ from napari_mufasa.discover.library import Lead, Library, State, changed
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import Null
+from napari_mufasa.discover.reporting import MISFIT_ALARM, compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
 from napari_mufasa.effects import Effect, catalogue, effect_class
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model import Model
 
 Array = NDArray[np.float64]
-ALARM = 0.03  # false alarms wanted on an adequate model, evidence and misfit together about 5 %
-MISFIT_ALARM = 0.01
+ALARM = 0.02  # chance level of the evidence that raises the alarm
 SECOND = 0.01  # stricter for every further effect …
 FINALISTS = 5  # leads that are fitted by direct simulation
 SECOND_SHARE = 0.02  # … and with at least this share of the evidence of those before it
@@ -135,6 +135,19 @@ class Investigation:
             return self.null.p_evidence(lead) < SECOND
         return self.null.p_evidence(lead) < ALARM or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
 
+    def convincing(self, best: Candidate) -> bool:
+        """Does adding it lower the held-out error, with evidence beyond chance?"""
+        before = self.state.held_out_error(self.x)
+        if best.error_after is None or best.error_after >= before:
+            return False
+        if not self.chosen:
+            return best.p_value < ALARM
+        # What the first effects leave is also the error of their own form: a further effect must stand out from
+        # it, more so where the held-out error is at its floor already.
+        at_the_floor = before <= AT_FLOOR * self.state.floor()
+        needed = SECOND_SHARE * self.explained * (3.0 if at_the_floor else 1.0)
+        return best.evidence > needed and best.p_value < (SECOND**2 if at_the_floor else SECOND)
+
     def rank(self) -> list[Candidate]:
         """What is missing: the leads, the best of them fitted by direct simulation, best first."""
         leads = dict(sorted(self.leads().items(), key=lambda item: -item[1].gain))
@@ -188,8 +201,6 @@ class Investigation:
 
     def report(self, verdict: Verdict | None = None) -> Report:
         """What has been found so far."""
-        from napari_mufasa.discover.reporting import compile_report
-
         return compile_report(self, verdict)
 
     # Inside -------------------------------------------------------------------------------------------------
@@ -234,7 +245,7 @@ def diagnose(
     told: list[Candidate] = []  # the ranking a reader wants is that of the base model
     while len(inquiry.chosen) < max_effects and inquiry.leads() and inquiry.alarmed():
         best = inquiry.rank()[0]
-        helps = _helps(inquiry, best)
+        helps = inquiry.convincing(best)
         if helps:
             inquiry.add(best)
         told = told or inquiry.ranking
@@ -260,20 +271,6 @@ def refine(
     for effect in add:
         inquiry.add(effect)
     return inquiry.report()
-
-
-def _helps(inquiry: Investigation, best: Candidate) -> bool:
-    """Does adding it lower the held-out error and pass the (stricter) threshold?"""
-    before = inquiry.state.held_out_error(inquiry.x)
-    if best.error_after is None or best.error_after >= before:
-        return False
-    if not inquiry.chosen:
-        return best.p_value < ALARM
-    # What the first effects leave is also the error of their own form: a further effect must stand out from it,
-    # more so where the held-out error is at its floor already.
-    at_the_floor = before <= AT_FLOOR * inquiry.state.floor()
-    needed = SECOND_SHARE * inquiry.explained * (3.0 if at_the_floor else 1.0)
-    return best.evidence > needed and best.p_value < (SECOND**2 if at_the_floor else SECOND)
 
 
 def _finalists(leads: dict[str, Lead]) -> list[str]:

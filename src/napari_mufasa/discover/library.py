@@ -8,7 +8,7 @@ fit (`fit.refine`) decides.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,7 @@ class State:
 
     mean, spread (part, observable) · slopes (part, observable, free value), free values with prior widths: the
     nuisance values first, then effect parameters · whiten (part, observable, observable) · check (simulation,
-    part, observable) simulations of fresh seeds
+    part, observable) simulations of fresh seeds · least_spread (observable,)
     """
 
     model: Model
@@ -78,12 +78,12 @@ class State:
     whiten: Array
     check: Array
     free: tuple[str, ...]
+    least_spread: Array
 
-    def profiled(self, x: Array, part: int = 0, whiten: Array | None = None) -> Profile:
+    def profiled(self, x: Array, part: int = 0) -> Profile:
         """The measurement x (part, observable) against this model, free values moved."""
         return profile(
-            x[part], self.mean[part], self.spread[part], self.slopes[part], self.prior,
-            self.whiten[part] if whiten is None else whiten,
+            x[part], self.mean[part], self.spread[part], self.slopes[part], self.prior, self.whiten[part]
         )  # fmt: skip
 
     def held_out_error(self, x: Array) -> float:
@@ -107,10 +107,10 @@ class State:
         """−2 log likelihood, up to a constant all models share."""
         return self.misfit(x) + 2 * float(np.log(self.spread[0]).sum())
 
-    def screen(self, x: Array, rays: dict[str, list[Ray]], whiten: Array | None = None) -> dict[str, Lead]:
+    def screen(self, x: Array, rays: dict[str, list[Ray]]) -> dict[str, Lead]:
         """Per effect: the largest fall of chi² along any of its rays."""
-        w = self.whiten[0] if whiten is None else whiten
-        start = self.profiled(x, 0, w)
+        w = self.whiten[0]
+        start = self.profiled(x)
         spread = self.spread[0]
         # Locally linear: directions of free values are projected out of residual and rays alike.
         local = 1 / np.sqrt(1 + np.sinh(np.clip(start.soft / SOFT, -20, 20)) ** 2)
@@ -143,23 +143,34 @@ class Library:
     rays: dict[str, list[Ray]]
 
     def null_distribution(self, folds: int = 4) -> tuple[Array, Array]:
-        """Largest evidence and misfit of base simulations taken as measurements, each whitened without its fold."""
+        """Largest evidence and misfit of base simulations taken as measurements.
+
+        None of them is judged by a mean, spread or correlation that it helped to make: each fold by those of
+        the other folds, the check simulations by those of all.
+        """
         evidence, misfit = [], []
-        index = np.arange(len(self.rows))
-        for fold in range(folds):
-            out = index % folds == fold
-            w = whitener(shrunk_correlation((self.rows[~out, 0] - self.base.mean[0]) / self.base.spread[0]))
-            for x in self.rows[out]:
-                misfit.append(self.base.profiled(x, 0, w).chi2)
-                leads = self.base.screen(x, self.rays, w)
-                evidence.append(max((lead.gain for lead in leads.values()), default=0.0))
+        fold_of = np.arange(len(self.rows)) % folds
+        trials = [(_with_noise_of(self.base, self.rows[fold_of != f]), self.rows[fold_of == f]) for f in range(folds)]
+        for state, unseen in [*trials, (self.base, self.base.check)]:
+            for x in unseen:
+                misfit.append(state.misfit(x))
+                evidence.append(max((lead.gain for lead in state.screen(x, self.rays).values()), default=0.0))
         return np.array(evidence), np.array(misfit)
+
+
+def _with_noise_of(state: State, rows: Array) -> State:
+    """The state with mean, spread and correlation of these simulations (simulation, part, observable)."""
+    mean = rows.mean(axis=0)
+    spread = np.maximum(rows.std(axis=0, ddof=1), state.least_spread)
+    parts = range(rows.shape[1])
+    whiten = np.stack([whitener(shrunk_correlation((rows[:, p] - mean[p]) / spread[p])) for p in parts])
+    return replace(state, mean=mean, spread=spread, whiten=whiten)
 
 
 def matched(bench: Bench, model: Model) -> Model:
     """The model with its nuisance values brought near the measurement, by moments."""
     measured = as_table(bench.names, bench.measured.part("all"))
-    model = model.with_values({"sample.n_molecules": max(1, round(measured["spots"] ** 2 * 1.15))})
+    model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
     for turn in range(MATCHING_ROUNDS):
         rows = bench.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
         model = nuisance.match(model, measured, as_table(bench.names, rows[:, 0].mean(axis=0)))
@@ -172,11 +183,11 @@ def build(bench: Bench, model: Model, kinds: Sequence[str]) -> Library:
     rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
     slopes = _slopes(bench, model, values, rows)
-    mean = rows.mean(axis=0)
-    spread = np.maximum(rows.std(axis=0, ddof=1), spread_floor(bench.names))
-    whiten = np.stack([whitener(shrunk_correlation((rows[:, p] - mean[p]) / spread[p])) for p in range(len(PARTS))])
     prior = np.array([n.prior for n in values])
-    base = State(model, mean, spread, slopes, prior, whiten, check, tuple(n.path for n in values))
+    blank = np.zeros(rows.shape[1:])
+    free = tuple(n.path for n in values)
+    bare = State(model, blank, blank, slopes, prior, blank, check, free, spread_floor(bench.names))
+    base = _with_noise_of(bare, rows)
     return Library(bench, base, rows, values, _rays(bench, model, rows, kinds))
 
 

@@ -30,7 +30,7 @@ class Nuisance:
         value = _get(model, self.path)
         new = value * np.exp(by) if self.log else value + by
         if self.path == "sample.n_molecules":
-            return {self.path: max(1, round(new))}
+            return {self.path: _that_fit(model, new)}
         return {self.path: max(float(new), 0.0)}
 
 
@@ -56,8 +56,14 @@ def apply(model: Model, names: list[Nuisance], by: np.ndarray[Any, np.dtype[np.f
     """The model with nuisance coordinates moved by `by` (one per nuisance)."""
     values: dict[str, Any] = {}
     for nuisance, step in zip(names, by, strict=True):
-        values |= nuisance.moved(model, float(np.clip(step, -1.5, 1.5) if nuisance.log else step))
+        reach = 2.5 * nuisance.prior
+        values |= nuisance.moved(model, float(np.clip(step, -reach, reach)))
     return model.with_values(values)
+
+
+def with_molecules(model: Model, n: float) -> Model:
+    """The model with about n molecules, as many as fit."""
+    return model.with_values({"sample.n_molecules": _that_fit(model, n)})
 
 
 def match(model: Model, measured: Mapping[str, float], simulated: Mapping[str, float]) -> Model:
@@ -81,9 +87,17 @@ def match(model: Model, measured: Mapping[str, float], simulated: Mapping[str, f
             "optics.psf_fwhm_nm": model.optics.psf_fwhm_nm * float(width_factor),
             "optics.background_photons_per_px": max(model.optics.background_photons_per_px + light, 0.0),
             "camera.baseline_adu": max(model.camera.baseline_adu + offset_adu, 0.0),
-            "sample.n_molecules": int(np.clip(round(model.sample.n_molecules * np.clip(spots, 0.2, 5)), 1, 5000)),
+            "sample.n_molecules": _that_fit(model, model.sample.n_molecules * np.clip(spots, 0.2, 5)),
         }
     )
+
+
+def _that_fit(model: Model, n: float) -> int:
+    """A number of molecules that the field can hold at their smallest distance (random packing jams at 0.547)."""
+    height, width = model.acquisition.shape_px
+    distance = model.sample.min_distance_px
+    room = 0.4 * height * width / (np.pi * distance**2 / 4) if distance > 0 else np.inf
+    return int(np.clip(round(n), 1, max(1.0, min(room, 20_000))))
 
 
 def _get(model: Model, path: str) -> Any:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 OFF = 3.0  # an observable further off than so many standard deviations is called failing
 EXPLAINED = 0.6  # share of the removable error that an explanation must remove
+MISFIT_ALARM = 0.01  # chance level at which the misfit alone raises the alarm
 STILL_OFF = 0.001  # chance level of the misfit left under an explanation
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
@@ -60,10 +61,13 @@ def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
     if not inquiry.chosen:
         if not inquiry.alarmed():
             return "adequate"
-        # Nothing was added yet (or nothing helped): is there an effect that would explain it?
-        best = inquiry.ranking[0] if inquiry.ranking else None
-        explains = best is not None and best.share_explained is not None and best.share_explained >= EXPLAINED
-        return "missing_effect" if explains else "unexplained"
+        if not inquiry.ranking:
+            return "unexplained"
+        # Effects were fitted and none was added (yet). An alarm of the emulator that no fit confirms is chance,
+        # unless the misfit as a whole is beyond chance, too.
+        if inquiry.convincing(inquiry.ranking[0]):
+            return "missing_effect"
+        return "unexplained" if inquiry.null.p_misfit(inquiry.state.misfit(inquiry.x)) < MISFIT_ALARM else "adequate"
     share = (errors[0] - errors[-1]) / max(errors[0] - floor, 1e-9)
     left = inquiry.null.p_misfit(inquiry.state.misfit(inquiry.x))
     return "unexplained" if left < STILL_OFF and share < EXPLAINED else "missing_effect"
