@@ -246,6 +246,18 @@ def test_compare_traces_and_calibrate_write_the_named_files(cli, files, tmp_path
     Model.from_dict(PRINTED | {"camera": camera})  # fits into a model.json as it is
 
 
+def test_calibrate_does_what_its_own_advice_says(cli, files, tmp_path):
+    even = ("--model", files / "model.json", "--n-molecules", 0, "--out", tmp_path / "even.tif", "--seed", 4)
+    assert cli("simulate", *even)[0] == 0
+    arguments = ("calibrate", tmp_path / "even.tif", "--out", tmp_path / "camera.json")
+    code, err = cli(*arguments)  # even light and no dark frames: not enough
+    assert code == 2 and "baseline_adu" in err and not (tmp_path / "camera.json").exists()
+    assert cli(*arguments, "--baseline-adu", 200)[0] == 0
+    camera = json.loads((tmp_path / "camera.json").read_text())
+    # Over five seeds of such a movie 12.36 ± 0.07 was measured: four of those, and the bias.
+    assert camera["baseline_adu"] == 200 and camera["electrons_per_adu"] == pytest.approx(12, abs=0.65)
+
+
 # --- bad input ---------------------------------------------------------------------------------------------
 
 FRAMES = np.full((30, 32, 32), 210, np.uint16)

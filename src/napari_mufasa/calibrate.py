@@ -293,7 +293,7 @@ def _line(
     if not fits:
         raise MufasaError(
             "without dark frames the light must differ between pixels, and here it does not: "
-            "record dark frames (shutter closed), or give baseline_adu"
+            "record dark frames (shutter closed), or give baseline_adu (--baseline-adu)"
         )
     slopes, baselines = np.array(fits).T
     notes.append("baseline extrapolated to zero variance: dark frames would be far more certain")

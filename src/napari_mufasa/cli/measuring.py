@@ -178,6 +178,9 @@ def calibrate(
     electrons_per_adu: Annotated[
         float | None, typer.Option("--electrons-per-adu", min=1e-6, metavar="E", help="If known.")
     ] = None,
+    baseline_adu: Annotated[
+        float | None, typer.Option("--baseline-adu", min=0, metavar="B", help="If known, instead of dark frames.")
+    ] = None,
     quantum_efficiency: Annotated[float, typer.Option("--quantum-efficiency", min=0.01, max=1, metavar="QE")] = 0.9,
 ) -> None:
     """Measure the camera: baseline, read noise and gain, from a movie and its dark frames."""
@@ -190,7 +193,8 @@ def calibrate(
     with console.working("calibrating") as work:
         found = measure(
             source.data, background, camera_type=camera_type.value, em_gain=em_gain,
-            electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, **work.both(),
+            electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu,
+            **work.both(),
         )  # fmt: skip
     section = found.camera.model_dump(mode="json", exclude_none=True)
     if found.camera.type != "CMOS":
