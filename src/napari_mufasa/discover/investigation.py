@@ -19,18 +19,17 @@ from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.library import Lead, Library, State, changed
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.nuisance import nuisances
-from napari_mufasa.discover.null import Null
-from napari_mufasa.discover.reporting import MISFIT_ALARM, compile_report
+from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
+from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
 from napari_mufasa.effects import Effect, catalogue, effect_class
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model import Model
 
 Array = NDArray[np.float64]
-ALARM = 0.02  # chance level of the evidence that raises the alarm
-SECOND = 0.01  # stricter for every further effect …
+SECOND = 0.01  # chance level that every further effect must pass …
+SECOND_SHARE = 0.02  # … with at least this share of the evidence of those before it
 FINALISTS = 5  # leads that are fitted by direct simulation
-SECOND_SHARE = 0.02  # … and with at least this share of the evidence of those before it
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart

@@ -9,6 +9,7 @@ import pandas as pd
 
 from napari_mufasa.discover.curves import draw
 from napari_mufasa.discover.library import SCALES, State, scaled
+from napari_mufasa.discover.null import ALARM, MISFIT_ALARM
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.model import Model
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 OFF = 3.0  # an observable further off than so many standard deviations is called failing
 EXPLAINED = 0.6  # share of the removable error that an explanation must remove
-MISFIT_ALARM = 0.01  # chance level at which the misfit alone raises the alarm
 STILL_OFF = 0.001  # chance level of the misfit left under an explanation
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
@@ -76,7 +76,7 @@ def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
 def detectable(inquiry: Investigation) -> dict[str, float | None]:
     """The smallest strength of each effect that this data would have shown with 80 % power, by the emulator."""
     state, null = inquiry.library.base, inquiry.null
-    threshold = null.evidence_at(0.03)
+    threshold = null.evidence_at(ALARM)
     w, spread = state.whiten[0], state.spread[0]
     slope = np.vstack([w @ (state.slopes[0] / spread[:, None]), np.diag(1 / state.prior)])
     q, _ = np.linalg.qr(slope)
