@@ -185,6 +185,8 @@ def _dark(
     dark = _counts(dark, "dark frames").astype(np.float64)
     if np.ndim(dark) != 3 or dark.shape[1:] != tuple(shape):
         raise MufasaError(f"dark has shape {dark.shape}, the movie's frames are {tuple(shape)}: give the same region")
+    if dark.size == 0:
+        raise MufasaError(f"dark has shape {dark.shape}: give at least one dark frame, better 50")
     pixel = np.median(dark, axis=0) if len(dark) > 4 else np.full(shape, np.median(dark))
     values = (dark - pixel).ravel()
     # Whole counts make the median deviation coarse: a random part of a count smooths it, and is taken off again.

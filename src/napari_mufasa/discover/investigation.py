@@ -23,8 +23,9 @@ from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
 from napari_mufasa.effects import Effect, catalogue, effect_class
-from napari_mufasa.errors import MufasaError
+from napari_mufasa.errors import MufasaError, need
 from napari_mufasa.model import Model
+from napari_mufasa.streams import Streams
 
 Array = NDArray[np.float64]
 SECOND = 0.01  # chance level that every further effect must pass …
@@ -62,6 +63,9 @@ class Investigation:
         cancel: Callable[[], bool] | None = None,
     ) -> None:
         self._started = time.monotonic()
+        need(model, Model, "model", "give nm.preset(…) or nm.Model.from_json(…)")
+        Streams(seed)  # raises on a bad seed
+        effects = [effects] if isinstance(effects, str) else effects
         self.seed = seed
         self.believed = model
         self.measurement = prepare(movie, model, dark)
@@ -265,6 +269,7 @@ def refine(
     cancel: Callable[[], bool] | None = None,
 ) -> Report:
     """The same loop by hand: fit the effects the user names, in order, and report the error (SPEC.md §10)."""
+    add = [add] if isinstance(add, (str, Effect)) else add
     kinds = [a if isinstance(a, str) else a.kind for a in add]
     inquiry = Investigation(movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel)
     for effect in add:

@@ -45,14 +45,14 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     data = _counts(np.asarray(movie[region]), "movie", model)
     dark_data = None
     if dark is not None:
-        dark_shape = _check(dark, "dark frames")
+        dark_shape = _check(dark, "dark stack")
         if dark_shape[1:] != shape[1:]:
             raise MufasaError(
                 f"dark frames are {dark_shape[1:]} pixels, the movie {shape[1:]}: record both with the same region"
             )
         if dark_shape[0] < 5:
             raise MufasaError(f"{dark_shape[0]} dark frames are too few: give at least 5, better 50")
-        dark_data = _counts(np.asarray(dark[: min(dark_shape[0], DARK_FRAMES), rows, columns]), "dark frames", model)
+        dark_data = _counts(np.asarray(dark[: min(dark_shape[0], DARK_FRAMES), rows, columns]), "dark stack", model)
     return Measurement(data, dark_data, _reshaped(model, shape, region), tuple(notes))
 
 
