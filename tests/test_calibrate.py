@@ -49,7 +49,7 @@ def test_cmos_has_no_excess_noise():
 
 
 def test_blinking_molecules_do_not_raise_the_gain():
-    from napari_mufasa.effects.base import effect_from_data
+    from napari_mufasa.effects import effect_from_data
 
     model = nm.preset("FF").with_values({"acquisition.n_frames": 300, "acquisition.shape_px": (96, 96)})
     blinking = effect_from_data({"kind": "triplet_blinking", "off_rate_per_s": 40.0, "dark_time_s": 0.03})

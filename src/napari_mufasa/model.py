@@ -25,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from napari_mufasa.effects.base import Effect, effect_class, effect_from_data
+from napari_mufasa.effects import Effect, effect_class, effect_from_data
 from napari_mufasa.errors import MufasaError
 
 Protocol = Literal["PALM", "STORM", "FF", "Blinking"]

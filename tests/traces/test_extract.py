@@ -91,7 +91,7 @@ def test_traces_follow_the_truth_as_well_as_shot_noise_allows():
 
 
 def _effect(kind, **values):
-    from napari_mufasa.effects.base import effect_from_data
+    from napari_mufasa.effects import effect_from_data
 
     return effect_from_data({"kind": kind, **values})
 
@@ -182,7 +182,7 @@ def test_drift_is_followed():
 
 
 def _drift():
-    from napari_mufasa.effects.base import effect_class
+    from napari_mufasa.effects import effect_class
 
     kind = effect_class("stage_drift")
     return kind(**{kind.strength: kind.plausible()[kind.strength][1]})

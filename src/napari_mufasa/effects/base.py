@@ -7,10 +7,6 @@ registers a class under the entry-point group ``napari_mufasa.effects``.
 
 from __future__ import annotations
 
-import difflib
-import warnings
-from collections.abc import Mapping
-from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -21,7 +17,6 @@ if TYPE_CHECKING:
     from napari_mufasa.observe import Observation
     from napari_mufasa.scene import Scene
 
-ENTRY_POINT_GROUP = "napari_mufasa.effects"
 REFERENCE = {"frame_s": 0.02, "movie_s": 6.0, "frames": 300.0, "noise_adu": 4.0, "peak_e": 10.0}
 """The acquisition that plausible ranges are written for: 300 frames of 20 ms, 4 ADU read noise, 10 e⁻ at a peak."""
 
@@ -144,46 +139,3 @@ def _scales(model: Model) -> dict[str, float]:
         "noise_adu": max(model.camera.read_noise_e / model.camera.electrons_per_adu, 1.0),
         "peak_e": max(detected / (2 * np.pi * model.sigma_px**2), 1.0),
     }
-
-
-@cache
-def catalogue() -> dict[str, type[Effect]]:
-    """All effects by kind: the built-in ones in the order of SPEC.md §9, then installed third-party ones."""
-    from importlib.metadata import entry_points
-
-    from napari_mufasa.effects import camera, illumination, motion, optics, photophysics
-
-    found: dict[str, type[Effect]] = {}
-    for module in (photophysics, illumination, motion, optics, camera):
-        found.update({effect.kind: effect for effect in module.EFFECTS})
-    for point in entry_points(group=ENTRY_POINT_GROUP):
-        try:
-            effect = point.load()
-        except Exception as error:  # someone else's broken package must not take the built-in effects away
-            warnings.warn(f"effect plugin {point.name} ({point.value}) does not load: {error!r}", stacklevel=2)
-            continue
-        if not (isinstance(effect, type) and issubclass(effect, Effect) and effect.kind):
-            warnings.warn(f"effect plugin {point.name} ({point.value}) is not an Effect with a kind", stacklevel=2)
-            continue
-        found.setdefault(effect.kind, effect)
-    return found
-
-
-def effect_class(kind: str) -> type[Effect]:
-    """The class of an effect; raises ValueError naming near and known kinds."""
-    known = catalogue()
-    if kind not in known:
-        near = difflib.get_close_matches(kind, known, n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
-        raise ValueError(f"no effect {kind!r}: {hint}known effects are {', '.join(known)}")
-    return known[kind]
-
-
-def effect_from_data(data: Any) -> Effect:
-    """An effect from ``{"kind": …, parameters}``, or the effect itself."""
-    if isinstance(data, Effect):
-        return data
-    if not isinstance(data, Mapping) or "kind" not in data:
-        raise ValueError(f'an effect is {{"kind": …, parameters}}, got {data!r}')
-    values = {name: value for name, value in data.items() if name != "kind"}
-    return effect_class(str(data["kind"])).model_validate(values)

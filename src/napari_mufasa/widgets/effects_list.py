@@ -16,7 +16,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_mufasa.effects.base import Effect, catalogue
+from napari_mufasa.effects import Effect, catalogue
 from napari_mufasa.widgets.fields import Form
 from napari_mufasa.widgets.jobs import Quiet
 from napari_mufasa.widgets.layers import slim

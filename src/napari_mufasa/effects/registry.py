@@ -1,0 +1,54 @@
+"""Which effects there are: the built-in ones, one module per stage, then those that other packages register."""
+
+from __future__ import annotations
+
+import difflib
+import warnings
+from collections.abc import Mapping
+from functools import cache
+from importlib import metadata
+from typing import Any
+
+from napari_mufasa.effects import camera, illumination, motion, optics, photophysics
+from napari_mufasa.effects.base import Effect
+
+ENTRY_POINT_GROUP = "napari_mufasa.effects"
+
+
+@cache
+def catalogue() -> dict[str, type[Effect]]:
+    """All effects by kind: the built-in ones in the order of SPEC.md §9, then installed third-party ones."""
+    found: dict[str, type[Effect]] = {}
+    for module in (photophysics, illumination, motion, optics, camera):
+        found.update({effect.kind: effect for effect in module.EFFECTS})
+    for point in metadata.entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            effect = point.load()
+        except Exception as error:  # someone else's broken package must not take the built-in effects away
+            warnings.warn(f"effect plugin {point.name} ({point.value}) does not load: {error!r}", stacklevel=2)
+            continue
+        if not (isinstance(effect, type) and issubclass(effect, Effect) and effect.kind):
+            warnings.warn(f"effect plugin {point.name} ({point.value}) is not an Effect with a kind", stacklevel=2)
+            continue
+        found.setdefault(effect.kind, effect)
+    return found
+
+
+def effect_class(kind: str) -> type[Effect]:
+    """The class of an effect; raises ValueError naming near and known kinds."""
+    known = catalogue()
+    if kind not in known:
+        near = difflib.get_close_matches(kind, known, n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ValueError(f"no effect {kind!r}: {hint}known effects are {', '.join(known)}")
+    return known[kind]
+
+
+def effect_from_data(data: Any) -> Effect:
+    """An effect from ``{"kind": …, parameters}``, or the effect itself."""
+    if isinstance(data, Effect):
+        return data
+    if not isinstance(data, Mapping) or "kind" not in data:
+        raise ValueError(f'an effect is {{"kind": …, parameters}}, got {data!r}')
+    values = {name: value for name, value in data.items() if name != "kind"}
+    return effect_class(str(data["kind"])).model_validate(values)
