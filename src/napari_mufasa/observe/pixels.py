@@ -114,24 +114,35 @@ def _kernel() -> Any:
         comb = np.zeros((parts + 1, COMB), dtype=np.int64)
         peak, second = np.full(shape, -np.inf), np.full(shape, -np.inf)
         peak_frame = np.zeros(shape, dtype=np.int64)
+        now, before, earlier = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         for t in range(n):
+            now, before, earlier = earlier, now, before
+            half = 2 * t // n
             for y in range(height):
                 for x in range(width):
-                    raw = movie[t, y, x]
-                    v = raw - baseline
+                    now[y, x] = movie[t, y, x] - baseline
+            # Sums without branches, so that they become vector instructions …
+            for y in range(height):
+                for x in range(width):
+                    v = now[y, x]
                     s1[y, x] += v
                     s2[y, x] += v * v
                     s3[y, x] += v * v * v
-                    if t > 0:
-                        before = movie[t - 1, y, x] - baseline
-                        step[2 * t // n, y, x] += (v - before) * (v - before)
-                        l1[y, x] += v * before
-                    if t > 1:
-                        l2[y, x] += v * (movie[t - 2, y, x] - baseline)
-                    if x + 1 < width:
-                        right[y, x] += v * (movie[t, y, x + 1] - baseline)
-                    if y + 1 < height:
-                        below[y, x] += v * (movie[t, y + 1, x] - baseline)
+                    l2[y, x] += v * earlier[y, x]
+                for x in range(width - 1):
+                    right[y, x] += now[y, x] * now[y, x + 1]
+                if y + 1 < height:
+                    for x in range(width):
+                        below[y, x] += now[y, x] * now[y + 1, x]
+                if t > 0:
+                    for x in range(width):
+                        difference = now[y, x] - before[y, x]
+                        step[half, y, x] += difference * difference
+                        l1[y, x] += now[y, x] * before[y, x]
+            # … then what needs them.
+            for y in range(height):
+                for x in range(width):
+                    v = now[y, x]
                     if v > peak[y, x]:
                         if t - peak_frame[y, x] > 1 or peak_frame[y, x] == 0:
                             second[y, x] = max(second[y, x], peak[y, x])
@@ -142,7 +153,7 @@ def _kernel() -> Any:
                     part = label[y, x]
                     rows[part, t, y] += v
                     columns[part, t, x] += v
-                    comb[part, raw % COMB] += 1
+                    comb[part, movie[t, y, x] % COMB] += 1
         return s1, s2, s3, step, l1, l2, right, below, rows, columns, comb, peak, peak_frame, second
 
     return kernel
