@@ -134,6 +134,7 @@ def main() -> None:
     parser.add_argument("--groups", default="single,null,pair,off")
     parser.add_argument("--quick", action="store_true", help="short movies, one seed, five nulls, no pairs")
     parser.add_argument("--results", type=Path, default=ROOT / "build" / "trial.jsonl")
+    parser.add_argument("--share", default="0/1", help="1/2: the second half of the cases, for two processes at once")
     parser.add_argument("--summary", action="store_true")
     parser.add_argument("--write", action="store_true", help="store the table in docs/blind_trial.md")
     options = parser.parse_args()
@@ -143,8 +144,9 @@ def main() -> None:
     done = [json.loads(line) for line in options.results.open()] if options.results.exists() else []
     finished = {(r["group"], r["seed"], r.get("off")) for r in done}
     if not options.summary:
-        for case in cases(options.seeds, options.nulls, set(options.groups.split(","))):
-            if (case["group"], case["seed"], case.get("off")) in finished:
+        mine, shares = (int(n) for n in options.share.split("/"))
+        for i, case in enumerate(cases(options.seeds, options.nulls, set(options.groups.split(",")))):
+            if i % shares != mine or (case["group"], case["seed"], case.get("off")) in finished:
                 continue
             done.append(run(case, options.base))
             with options.results.open("a") as file:

@@ -1,7 +1,8 @@
 """Fit one effect by direct simulation: the emulator proposes, the simulator disposes.
 
-Around the current parameters a handful of paired simulations give the local mean and slopes; free values of
-model and effect move together; twice; then fresh simulations at the end point judge it.
+A ladder of strengths finds the right decade. Around it a handful of paired simulations give the local mean and
+slopes; free values of model and effect move together, again while they still move far; then fresh simulations
+at the end point judge it.
 """
 
 from __future__ import annotations
@@ -12,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, State, changed
+from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, State, changed, scaled
 from napari_mufasa.effects import Effect
 from napari_mufasa.model import Model
 
 Array = NDArray[np.float64]
-ROUNDS = ((9, 0.45), (9, 0.2))  # simulations and spread of the parameters (log units or quarters of the range)
+LADDER = 2.2  # factor between the strengths tried first
+ROUND_SIMULATIONS = 9
+WIDE, NARROW = 0.45, 0.2  # spread of the parameters in a round (log units or quarters of the range)
+MOST_ROUNDS = 4
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
@@ -65,38 +69,67 @@ class Fit:
 
 
 def planned_simulations() -> int:
-    return sum(n for n, _ in ROUNDS) + CHECK_SIMULATIONS
+    return 3 + 2 * ROUND_SIMULATIONS + CHECK_SIMULATIONS
 
 
 def refine(library: Library, state: State, start: Effect, x: Array) -> Fit:
     """Fit `start` into `state` so that it explains the measurement x (part, observable)."""
-    bench = library.bench
-    seen = start.read_off(bench.measured)
+    seen = start.read_off(library.bench.measured)
     start = changed(start, seen)
     coordinates = [c for c in Coordinate.of(start, state.model) if c.name not in seen]
     n = len(coordinates)
-    model = state.model.with_effects(start)
-    free = (*state.free, *(f"{start.kind}.{c.name}" for c in coordinates))
-    local = state
-    for turn, (n_rows, width) in enumerate(ROUNDS):
-        effect = model.effects[-1]
-        offsets = _design(n_rows, n, width, np.random.default_rng([bench.seed, turn]))
-        settings = [{c.name: c.moved(effect, b) for c, b in zip(coordinates, by, strict=True)} for by in offsets]
-        rows = bench.rows([(model.with_effects(changed(effect, s)), k) for k, s in enumerate(settings)])
-        shift = rows - library.rows[:n_rows]
-        centre, slopes = _regress(offsets, shift)
-        wild = shift - centre - np.einsum("kd,pod->kpo", offsets, slopes)
-        local = replace(
-            state,
-            model=model,
-            mean=library.base.mean + centre,
-            spread=np.sqrt(library.base.spread**2 + (wild**2).sum(axis=0) / (n_rows + PRIOR_SIMULATIONS)),
-            slopes=np.concatenate([state.slopes, slopes], axis=2),
-            prior=np.concatenate([state.prior, np.full(n, 2.5 * width)]),
-            free=free,
-        )
-        model = moved(model, library.nuisances, free, local.profiled(x).moves)
-    return judge(library, replace(local, model=model), x, n)
+    local = replace(
+        state,
+        model=state.model.with_effects(_climbed(library, state, start, x)),
+        free=(*state.free, *(f"{start.kind}.{c.name}" for c in coordinates)),
+    )
+    width = WIDE
+    for turn in range(MOST_ROUNDS):
+        local = _linearised(library, state, local, coordinates, width, turn)
+        moves = local.profiled(x).moves
+        local = replace(local, model=moved(local.model, library.nuisances, local.free, moves))
+        if width == NARROW:
+            break
+        far = turn + 2 < MOST_ROUNDS and n > 0 and np.abs(moves[-n:]).max() > 1.5 * width
+        width = WIDE if far else NARROW
+    return judge(library, local, x, n)
+
+
+def _climbed(library: Library, state: State, start: Effect, x: Array) -> Effect:
+    """`start` at the best of a ladder of strengths, each simulated once; the ladder grows while its end is best."""
+
+    def misfits(factors: list[float]) -> dict[float, float]:
+        rows = library.bench.rows([(state.model.with_effects(scaled(start, f)), k) for k, f in enumerate(factors)])
+        shift = rows - library.rows[: len(factors)]
+        return {f: replace(state, mean=library.base.mean + s).misfit(x) for f, s in zip(factors, shift, strict=True)}
+
+    found = misfits([1 / LADDER, 1.0, LADDER])
+    for _ in range(2):
+        best = min(found, key=lambda f: found[f])
+        if min(found) < best < max(found):
+            break
+        found |= misfits([best * LADDER if best > 1 else best / LADDER])
+    return scaled(start, min(found, key=lambda f: found[f]))
+
+
+def _linearised(
+    library: Library, state: State, local: State, coordinates: list[Coordinate], width: float, turn: int
+) -> State:
+    """The neighbourhood of `local.model`: mean, slopes and spread from paired simulations around it."""
+    effect, n = local.model.effects[-1], len(coordinates)
+    offsets = _design(ROUND_SIMULATIONS, n, width, np.random.default_rng([library.bench.seed, turn]))
+    settings = [{c.name: c.moved(effect, b) for c, b in zip(coordinates, by, strict=True)} for by in offsets]
+    jobs = [(local.model.with_effects(changed(effect, setting)), k) for k, setting in enumerate(settings)]
+    shift = library.bench.rows(jobs) - library.rows[:ROUND_SIMULATIONS]
+    centre, slopes = _regress(offsets, shift)
+    wild = shift - centre - np.einsum("kd,pod->kpo", offsets, slopes)
+    return replace(
+        local,
+        mean=library.base.mean + centre,
+        spread=np.sqrt(library.base.spread**2 + (wild**2).sum(axis=0) / (ROUND_SIMULATIONS + PRIOR_SIMULATIONS)),
+        slopes=np.concatenate([state.slopes, slopes], axis=2),
+        prior=np.concatenate([state.prior, np.full(n, 2.5 * width)]),
+    )
 
 
 def moved(model: Model, values: list[nuisance.Nuisance], free: tuple[str, ...], moves: Array) -> Model:

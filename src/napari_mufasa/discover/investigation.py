@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from napari_mufasa.discover import fit, library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import Lead, Library, State, changed
+from napari_mufasa.discover.library import Lead, Library, State
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
@@ -127,9 +127,9 @@ class Investigation:
         self._library = library.build(self.bench, library.matched(self.bench, start), self.kinds)
 
     def leads(self) -> dict[str, Lead]:
-        """What every effect not yet in the model promises, by the emulator."""
+        """What every effect not yet in the model promises in its best form, by the emulator."""
         rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in self.chosen}
-        return self.state.screen(self.x, rays)
+        return {kind: forms[0] for kind, forms in self.state.screen(self.x, rays).items()}
 
     def alarmed(self) -> bool:
         """Is the model inadequate beyond chance?"""
@@ -190,9 +190,11 @@ class Investigation:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""
         if self.null.p_misfit(found.misfit) > FORM_MISFIT:
             return found
-        others = [form for form in type(found.effect).forms() if form and form != getattr(found.effect, "form", "")]
+        rays = {found.effect.kind: self.library.rays[found.effect.kind]}
+        leads = self.state.screen(self.x, rays)[found.effect.kind]
+        others = [lead.start() for lead in leads if lead.ray.effect.form_name != found.effect.form_name]
         self.bench.plan(len(others) * fit.planned_simulations())
-        tries = [fit.refine(self.library, self.state, changed(found.effect, {}, form=form), self.x) for form in others]
+        tries = [fit.refine(self.library, self.state, other, self.x) for other in others]
         return min([found, *tries], key=lambda f: f.score)
 
     def undo(self) -> None:

@@ -107,8 +107,8 @@ class State:
         """−2 log likelihood, up to a constant all models share."""
         return self.misfit(x) + 2 * float(np.log(self.spread[0]).sum())
 
-    def screen(self, x: Array, rays: dict[str, list[Ray]]) -> dict[str, Lead]:
-        """Per effect: the largest fall of chi² along any of its rays."""
+    def screen(self, x: Array, rays: dict[str, list[Ray]]) -> dict[str, list[Lead]]:
+        """Per effect: the largest fall of chi² along any ray of each of its forms, best form first."""
         w = self.whiten[0]
         start = self.profiled(x)
         spread = self.spread[0]
@@ -118,8 +118,9 @@ class State:
         q, _ = np.linalg.qr(slope)
         full = np.concatenate([start.residual, -start.moves / self.prior])
         raw = stretch(start.soft)
-        found: dict[str, Lead] = {}
+        found: dict[str, list[Lead]] = {}
         for kind, candidates in rays.items():
+            best: dict[str, Lead] = {}
             for ray in candidates:
                 shifts = np.outer(SCALES, ray.shift[0] / spread)
                 taken = start.soft - SOFT * np.arcsinh((raw - shifts) / SOFT)
@@ -127,8 +128,10 @@ class State:
                 rest -= (rest @ q) @ q.T
                 gains = start.chi2 - (rest**2).sum(axis=1)
                 i = int(np.argmax(gains))
-                if kind not in found or gains[i] > found[kind].gain:
-                    found[kind] = Lead(float(gains[i]), ray, SCALES[i])
+                form = ray.effect.form_name
+                if form not in best or gains[i] > best[form].gain:
+                    best[form] = Lead(float(gains[i]), ray, SCALES[i])
+            found[kind] = sorted(best.values(), key=lambda lead: -lead.gain)
         return found
 
 
@@ -154,7 +157,7 @@ class Library:
         for state, unseen in [*trials, (self.base, self.base.check)]:
             for x in unseen:
                 misfit.append(state.misfit(x))
-                evidence.append(max((lead.gain for lead in state.screen(x, self.rays).values()), default=0.0))
+                evidence.append(max((forms[0].gain for forms in state.screen(x, self.rays).values()), default=0.0))
         return np.array(evidence), np.array(misfit)
 
 

@@ -115,6 +115,10 @@ class Effect(BaseModel):
         field = cls.model_fields.get("form")
         return tuple(getattr(field.annotation, "__args__", ())) if field is not None else ("",)
 
+    @property
+    def form_name(self) -> str:
+        return str(getattr(self, "form", ""))
+
 
 def _relative_scale(follows: str, model: Model) -> float:
     """How much larger the model's scale is than the reference's."""
