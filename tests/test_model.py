@@ -242,3 +242,8 @@ def test_models_do_not_change():
 def test_a_camera_alone_is_checked_too():
     with pytest.raises(ValueError, match="quantum_efficiency"):
         Camera(type="CCD", quantum_efficiency=0, read_noise_e=1, electrons_per_adu=1, baseline_adu=0)
+
+
+def test_two_effects_of_a_kind_are_refused():
+    with pytest.raises(MufasaError, match=r"effects.1: row_noise is in the model already"):
+        preset("FF").with_values({"effects": [{"kind": "row_noise"}, {"kind": "row_noise", "rms_adu": 3.0}]})

@@ -173,7 +173,12 @@ class Sample(Part):
 def _effects(value: Any) -> Any:
     if not isinstance(value, (list, tuple)):
         return value
-    return [_effect(item, f"effects.{i}") for i, item in enumerate(value)]
+    effects = [_effect(item, f"effects.{i}") for i, item in enumerate(value)]
+    kinds = [effect.kind for effect in effects]
+    for i, kind in enumerate(kinds):
+        if kind in kinds[:i]:
+            raise MufasaError(f"effects.{i}: {kind} is in the model already: give one of each kind")
+    return effects
 
 
 def _effect(data: Any, path: str) -> Effect:
