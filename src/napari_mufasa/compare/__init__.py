@@ -3,7 +3,13 @@
 from napari_mufasa.compare.comparison import Comparison, compare_movie, compare_traces, to_photoelectrons
 from napari_mufasa.compare.distributions import Distribution, distributions
 from napari_mufasa.compare.fit import Fit, fit_model
-from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
+from napari_mufasa.compare.wasserstein import (
+    Floor,
+    bootstrap_interval,
+    difference_interval,
+    floor,
+    wasserstein,
+)
 
 __all__ = [
     "Comparison",
@@ -13,6 +19,7 @@ __all__ = [
     "bootstrap_interval",
     "compare_movie",
     "compare_traces",
+    "difference_interval",
     "distributions",
     "fit_model",
     "floor",

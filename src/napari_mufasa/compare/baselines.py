@@ -42,8 +42,7 @@ def two_state_of(model: Model, photons_per_frame: float, chain: Chain | None = N
     """The two-state model with the time scales of a chain (None: that of the model's protocol).
 
     T_on and the bleaching time are the mean times in the merged bright state until it goes dark, or for
-    good; T_off is the mean time to return. `photons_per_frame` is I_on; the source sets it to the largest
-    value of the MUFASA emission.
+    good; T_off is the mean time to return. `photons_per_frame` is I_on, see `largest_of_a_trace`.
     """
     chain = chain or protocol_chain(model)
     merged = merge_bright_states(chain, 0.0)
@@ -71,6 +70,24 @@ def two_state_of(model: Model, photons_per_frame: float, chain: Chain | None = N
         photons_per_frame=photons_per_frame,
         start_on=float(start[bright].sum()),
     )
+
+
+def tool_defaults(photons_per_frame: float) -> TwoState:
+    """The two-state model with the times SOFI Simulation Tools starts with: on 20 ms, off 40 ms, bleaching 80 s.
+
+    In the tool a molecule starts on with the probability of the steady state.
+    """
+    return TwoState(0.020, 0.040, 80.0, photons_per_frame, start_on=1 / 3)
+
+
+def largest_of_a_trace(emission: NDArray[np.integer]) -> float:
+    """The largest value of a trace of emission (molecule, frame), on average over the molecules that emit.
+
+    The source sets I_on to "the maximum value observed in the MUFASA-generated photon trace". The largest value
+    of all traces together would grow with the number of molecules simulated.
+    """
+    largest = emission.max(axis=1, initial=0)
+    return float(largest[largest > 0].mean()) if (largest > 0).any() else 0.0
 
 
 def sofi_emission(

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from napari_mufasa.compare.distributions import Distribution, Sample, distributions
 from napari_mufasa.compare.fit import Fit, fit_gain, fit_model, fit_raw_traces
-from napari_mufasa.compare.simulated import FarApart, acquisitions, extract_simulated
+from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, extract_simulated
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model import Model
+from napari_mufasa.simulation import Acquisition
 from napari_mufasa.traces import Options, TraceSet, extract_traces
 from napari_mufasa.traces.select import dynamics, windows
 
@@ -71,6 +72,7 @@ def compare_movie(
     *,
     seed: int = 0,
     fit: bool = True,
+    sofi_times: SofiTimes = "model",
     options: Options | None = None,
     n_bootstrap: int = 100,
     progress: Progress | None = None,
@@ -87,6 +89,8 @@ def compare_movie(
     movie : (frame, y, x) ADU; dark : dark frames, which replace the baseline
     options, **changes : as for `extract_traces`; the PSF width defaults to the model's
     fit : also fit the model to the traces by moments (see `fit_model`) and compare the result
+    sofi_times : time scales of the SOFI baseline: those of the "model" or those the "tool" starts with
+    progress : called with (steps done, steps); cancel : True stops (raises `Cancelled`)
     """
     options = replace(options or Options(), **changes)
     if options.psf_sigma_px is None:
@@ -102,21 +106,20 @@ def compare_movie(
     model = _in_the_measurement(model, movie.shape)
     everywhere = measured.positions_px[~measured.molecules["reason"].isin(_NOT_MOLECULES).to_numpy()]
     sets = {}
-    for name, acquisition in acquisitions(model, everywhere, seed).items():
+    for name, acquisition in acquisitions(model, everywhere, seed, sofi_times).items():
         sets[name] = extract_simulated(acquisition, options, cancel=cancel)
         steps.done()
     fitted = None
     if fit:
 
         def simulate(candidate: Model) -> TraceSet:
-            one = acquisitions(candidate, everywhere, seed)["mufasa"]
-            return extract_simulated(one, options, cancel=cancel)
+            return extract_simulated(Acquisition(candidate, everywhere, seed), options, cancel=cancel)
 
         fitted = fit_model(measured, model, simulate)
         steps.done()
         # Another seed than the fit used: the fit must not profit from its own chance.
-        one = acquisitions(fitted.model, everywhere, seed + 10)["mufasa"]
-        sets["fitted"] = extract_simulated(one, options, cancel=cancel)
+        again = Acquisition(fitted.model, everywhere, seed + 10)
+        sets["fitted"] = extract_simulated(again, options, cancel=cancel)
         steps.done()
     samples = {name: _sample(s) for name, s in {"measured": measured, **sets}.items()}
     notes = tuple(
@@ -137,8 +140,10 @@ def compare_traces(
     best: int | None = None,
     seed: int = 0,
     fit: bool = True,
+    sofi_times: SofiTimes = "model",
     n_simulated: int | None = None,
     n_bootstrap: int = 100,
+    progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> Comparison:
     """Compare traces without a movie with a model, the baselines and (with `fit`) the fitted model.
@@ -155,6 +160,7 @@ def compare_traces(
     window, best : cut measured and simulated traces alike to the `window` frames before bleaching in which
         they are active, and keep the `best` of them
     n_simulated : simulated molecules (None: as many as measured, at least 200)
+    sofi_times, progress, cancel : as for `compare_movie`
     """
     electrons = to_photoelectrons(traces, model, unit)
     n_frames = electrons.shape[1]
@@ -162,19 +168,22 @@ def compare_traces(
     model = model.model_copy(update={"acquisition": timing})
     options = Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=background_subtracted)  # type: ignore[arg-type]
     n = n_simulated or max(200, len(electrons))
+    steps = _Steps(progress, 5 if fit else 4, cancel)
     field = FarApart(model.sigma_px, n, options, seed, pixel_share)
 
     def measured_like(values: NDArray[np.floating]) -> Sample:
         return _cut(values, model, background_subtracted, window, best if values is electrons else None)
 
     def simulate(candidate: Model) -> NDArray[np.float32]:
-        return field.traces(field.acquisitions(candidate, seed)["mufasa"], cancel)
+        return field.traces(field.acquisition(candidate, seed), cancel)
 
     samples = {"measured": measured_like(electrons)}
     if len(samples["measured"].traces) == 0:
         raise MufasaError(f"no trace is active in the {window} frames before bleaching: choose a smaller window")
-    for name, acquisition in field.acquisitions(model, seed).items():
+    steps.done()
+    for name, acquisition in field.acquisitions(model, seed, sofi_times).items():
         samples[name] = measured_like(field.traces(acquisition, cancel))
+        steps.done()
     fitted = None
     if fit:
         gain = 1.0
@@ -189,8 +198,9 @@ def compare_traces(
             fitted.values["camera.em_gain"] = float(fitted.model.camera.em_gain or 1.0)
         # Another seed than the fit used: the fit must not profit from its own chance. A fitted gain changes
         # what a photoelectron is worth in ADU; all samples stay in the unit of the model as given.
-        acquisition = field.acquisitions(fitted.model, seed + 10)["mufasa"]
-        samples["fitted"] = measured_like(gain * field.traces(acquisition, cancel))
+        again = field.acquisition(fitted.model, seed + 10)
+        samples["fitted"] = measured_like(gain * field.traces(again, cancel))
+        steps.done()
     notes = tuple(f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0)
     return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
 

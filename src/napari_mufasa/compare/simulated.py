@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import camera as detector
-from napari_mufasa.compare.baselines import poisson_emission, sofi_emission, two_state_of
+from napari_mufasa.compare.baselines import (
+    largest_of_a_trace,
+    poisson_emission,
+    sofi_emission,
+    tool_defaults,
+    two_state_of,
+)
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model import Model
 from napari_mufasa.simulation import Acquisition
@@ -18,6 +24,7 @@ from napari_mufasa.traces import Options, TraceSet, extract_traces
 from napari_mufasa.traces.profile import pixel_shares
 
 Cancel = Callable[[], bool]
+SofiTimes = Literal["model", "tool"]
 IN_MEMORY_BYTES = 2**29  # larger movies are simulated anew for every block that extraction asks for
 
 
@@ -34,12 +41,17 @@ class SimulatedMovie:
         return self.acquisition.scene.record(self.acquisition.emission, start, stop).movie
 
 
-def acquisitions(model: Model, positions_px: NDArray[np.float64], seed: int) -> dict[str, Acquisition]:
+def acquisitions(
+    model: Model, positions_px: NDArray[np.float64], seed: int, sofi_times: SofiTimes = "model"
+) -> dict[str, Acquisition]:
     """The acquisition by the model ("mufasa") and by the two baselines, of molecules at the same places.
 
-    The baselines know nothing of the model's effects. SOFI's I_on is the largest photon number of a frame in
-    the MUFASA emission; its on, off and bleaching times are those of the model's chain.
+    The baselines know nothing of the model's effects. SOFI's I_on is the largest photon number of a frame in a
+    trace of the MUFASA emission; its on, off and bleaching times are those of the model's chain ("model") or
+    those SOFI Simulation Tools starts with ("tool").
     """
+    if sofi_times not in ("model", "tool"):
+        raise MufasaError(f"sofi_times {sofi_times!r} is unknown: choose 'model' or 'tool'")
     mufasa = Acquisition(model, positions_px, seed)
     plain = model.model_copy(update={"effects": ()})
     poisson = Acquisition(plain, positions_px, seed + 1)
@@ -47,8 +59,9 @@ def acquisitions(model: Model, positions_px: NDArray[np.float64], seed: int) -> 
     n = len(positions_px)
     poisson.emission = poisson_emission(model, n, Streams(seed + 1).of("poisson baseline"))
     timing = model.acquisition
-    largest = float(mufasa.emission.max()) if mufasa.emission.size else 0.0
-    two_state = two_state_of(model, largest, mufasa.scene.chain)
+    largest = largest_of_a_trace(mufasa.emission)
+    tool = sofi_times == "tool"
+    two_state = tool_defaults(largest) if tool else two_state_of(model, largest, mufasa.scene.chain)
     sofi.emission = sofi_emission(  # type: ignore[assignment]
         two_state, n, timing.n_frames, timing.frame_length_s, timing.interval_s, Streams(seed + 2).of("sofi baseline")
     )
@@ -113,13 +126,19 @@ class FarApart:
         self.shape_px = (rows * spacing, columns * spacing)
         self.positions_px = np.stack(np.divmod(index, columns), axis=1) * spacing + spacing // 2 + offset
 
-    def acquisitions(self, model: Model, seed: int) -> dict[str, Acquisition]:
+    def acquisition(self, model: Model, seed: int) -> Acquisition:
+        """The model in this field."""
+        return Acquisition(self._here(model), self.positions_px, seed)
+
+    def acquisitions(self, model: Model, seed: int, sofi_times: SofiTimes = "model") -> dict[str, Acquisition]:
         """The model and the baselines in this field."""
+        return acquisitions(self._here(model), self.positions_px, seed, sofi_times)
+
+    def _here(self, model: Model) -> Model:
         maps = {"offset_map_adu": None, "gain_map": None, "variance_map_e2": None}
         camera = model.camera.model_copy(update=maps)  # maps belong to the real field
         acquisition = model.acquisition.model_copy(update={"shape_px": self.shape_px})
-        here = model.model_copy(update={"camera": camera, "acquisition": acquisition})
-        return acquisitions(here, self.positions_px, seed)
+        return model.model_copy(update={"camera": camera, "acquisition": acquisition})
 
     def traces(self, acquisition: Acquisition, cancel: Cancel | None = None) -> NDArray[np.float32]:
         """(molecule, frame) photoelectrons at the known positions."""

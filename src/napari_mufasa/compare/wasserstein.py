@@ -133,6 +133,33 @@ def bootstrap_interval(
     return max(0.0, float(min(low, centre))), float(max(high, centre))
 
 
+def difference_interval(
+    measured: Any, one: Any, other: Any, n: int = 200, rng: np.random.Generator | None = None
+) -> tuple[float, float]:
+    """95 % interval of W1(measured, one) − W1(measured, other) over frames, by resampling molecules of all three.
+
+    Both distances share the measured molecules, so their difference is known far better than either of them.
+    All three sets need equal numbers of frames.
+    """
+    sets = [_traces(measured, "measured"), _traces(one, "first simulated"), _traces(other, "second simulated")]
+    if len({s.shape[1] for s in sets}) != 1:
+        raise MufasaError(f"traces have {', '.join(str(s.shape[1]) for s in sets)} frames: cut all to the same window")
+    rng = rng or np.random.default_rng(0)
+    pooled = _Pooled(np.concatenate(sets))
+    nothing = [np.zeros(len(s)) for s in sets]
+
+    def difference(weights: list[NDArray[np.float64]]) -> float:
+        real, first, second = weights
+        near = pooled.w1(np.concatenate([real, -first, nothing[2]]))
+        return near - pooled.w1(np.concatenate([real, nothing[1], -second]))
+
+    centre = difference([np.full(len(s), 1 / len(s)) for s in sets])
+    drawn = [rng.multinomial(len(s), np.full(len(s), 1 / len(s)), size=n) / len(s) for s in sets]
+    values = np.array([difference([part[i] for part in drawn]) for i in range(n)])
+    low, high = np.percentile(values, [2.5, 97.5]) - (values.mean() - centre)
+    return float(low), float(high)
+
+
 def _traces(value: Any, name: str) -> NDArray[np.float64]:
     array = np.asarray(getattr(value, "traces", value))
     if array.dtype.kind not in "buif" and value is not None:
