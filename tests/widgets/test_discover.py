@@ -27,6 +27,16 @@ def panel(with_movie):
     return made
 
 
+def choose_suspects(panel, *kinds):
+    """Untick all suspects, tick these."""
+    panel.suspects.none_button.click()
+    for row in range(panel.suspects.list.count()):
+        item = panel.suspects.list.item(row)
+        if item.data(Qt.ItemDataRole.UserRole) in kinds:
+            item.setCheckState(Qt.CheckState.Checked)
+    assert panel.suspects.chosen() == [kind for kind in panel.suspects.chosen() if kind in kinds]
+
+
 def cells(table, row):
     return [table.item(row, column).text() for column in range(table.columnCount())]
 
@@ -35,19 +45,19 @@ def test_report_fills_the_tables_and_a_click_shows_the_curve(panel):
     report = example.report()
     panel.show_report(report)
     assert "fast dark-state blinking" in panel.verdict.text().lower()
-    assert panel.failing.rowCount() == len(report.failing)
-    assert cells(panel.failing, 0)[1] == f"{report.failing[0]['z']:+.1f}"
-    first = cells(panel.ranking, 0)
+    assert panel.where.failing.rowCount() == len(report.failing)
+    assert cells(panel.where.failing, 0)[1] == f"{report.failing[0]['z']:+.1f}"
+    first = cells(panel.what.ranking, 0)
     assert first[1:3] == ["260", "1.04"]
-    assert cells(panel.ranking, 4)[2] == "–"  # never fitted: no error known
-    assert "Check:" in panel.details.toPlainText()
-    assert "Cannot be told apart from:" in panel.details.toPlainText()
-    panel.failing.selectRow(1)
+    assert cells(panel.what.ranking, 4)[2] == "–"  # never fitted: no error known
+    assert "Check:" in panel.what.details.toPlainText()
+    assert "Cannot be told apart from:" in panel.what.details.toPlainText()
+    panel.where.failing.selectRow(1)
     curve = matching_curve(report.failing[1]["observable"], report.curves)
     if curve is None:  # a single number is shown among the others
-        assert set(panel.curve.data["observable"]) == set(report.observables["observable"])
+        assert set(panel.where.curve.data["observable"]) == set(report.observables["observable"])
     else:
-        assert np.array_equal(panel.curve.data["measured"], curve.measured)
+        assert np.array_equal(panel.where.curve.data["measured"], curve.measured)
     assert list(panel.history.data["error"]) == [2.93, 1.04]
 
 
@@ -79,7 +89,7 @@ def test_export_writes_report_and_model(panel, tmp_path):
 
 def test_add_without_examination_says_what_to_do(panel):
     panel.show_report(example.report())
-    panel.add_button.click()
+    panel.what.add_button.click()
     assert "Look for what is missing" in panel.run_bar.message.text()
 
 
@@ -99,21 +109,23 @@ def test_drift_is_found_added_and_taken_out_again(viewer, qtbot):
     session.set_model(believed, "test")
     panel = DiscoverPanel(viewer)
     viewer.window.add_dock_widget(panel)
-    panel.investigation_options = {"effects": ["stage_drift", "triplet_blinking"]}
+    choose_suspects(panel, "stage_drift", "triplet_blinking")
     with qtbot.waitSignal(panel.run_bar.finished, timeout=300_000):
         panel.run_bar.run_button.click()
-    assert panel.ranking.item(0, 0).data(Qt.ItemDataRole.UserRole) == "stage_drift"
-    assert not panel.undo_button.isEnabled()
+    assert panel.what.ranking.item(0, 0).data(Qt.ItemDataRole.UserRole) == "stage_drift"
+    assert not panel.what.undo_button.isEnabled()
     assert session.model.effects == ()
-    panel.simulate_box.setChecked(True)
     with qtbot.waitSignal(panel.run_bar.finished, timeout=300_000):
-        panel.add_button.click()
+        panel.what.add_button.click()
     errors = [step["error"] for step in panel.report.history]
     assert errors[1] < 0.6 * errors[0]
     assert [effect.kind for effect in session.model.effects] == ["stage_drift"]
     # 4 px were hidden; the fit knows them to a few tenths.
     assert session.model.effects[0].distance_px == pytest.approx(4.0, abs=1.0)
-    assert viewer.layers[-1].data.shape == layer.data.shape
-    panel.undo_button.click()
+    simulated = panel.layers.simulated
+    assert simulated.data.shape == layer.data.shape
+    assert simulated.translate[-1] > layer.extent.world[1][-1]  # beside the measured one, not on top of it
+    panel.what.undo_button.click()
+    assert simulated not in viewer.layers
     assert session.model.effects == ()
-    assert panel.ranking.item(0, 0).data(Qt.ItemDataRole.UserRole) == "stage_drift"
+    assert panel.what.ranking.item(0, 0).data(Qt.ItemDataRole.UserRole) == "stage_drift"

@@ -2,42 +2,51 @@
 
 from __future__ import annotations
 
+import threading
+import weakref
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtCore import Qt
-from qtpy.QtWidgets import (
-    QCheckBox,
-    QFileDialog,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QTextBrowser,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QFileDialog, QLabel, QPushButton
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.widgets.jobs import Quiet, guarded
-from napari_mufasa.widgets.model_panel import ModelSource
+from napari_mufasa.widgets.jobs import guarded
+from napari_mufasa.widgets.model_panel import ModelSource, section
 from napari_mufasa.widgets.panel import MovieChooser, Panel, Tabs, seed_row
+from napari_mufasa.widgets.place_layers import PlaceLayers
 from napari_mufasa.widgets.plot import PlotCanvas
-from napari_mufasa.widgets.tables import add_row, table
-from napari_mufasa.widgets.telling import headline, matching_curve, title_of, told, words_of
+from napari_mufasa.widgets.suspects import Suspects
+from napari_mufasa.widgets.telling import headline
+from napari_mufasa.widgets.what_page import DetectablePage, WhatPage
+from napari_mufasa.widgets.where_page import WherePage
+from napari_mufasa.wording import in_text
 
 if TYPE_CHECKING:
-    from napari_mufasa.discover.result import Candidate, Report
+    from napari_mufasa.discover.result import Report
+    from napari_mufasa.widgets.places import Places
 
 
 class Steering:
-    """The progress and cancel of the run under way, for an `Investigation` that outlives single runs."""
+    """Progress and cancel of the run under way, for an `Investigation` that outlives single runs.
+
+    ``with steering.run(progress, cancel):`` lets one run at it at a time: one that was cancelled may still be leaving.
+    """
 
     def __init__(self) -> None:
         self._progress: Any = None
         self._cancel: Any = None
+        self.lock = threading.Lock()
 
-    def take(self, progress: Any, cancel: Any) -> None:
-        self._progress, self._cancel = progress, cancel
+    def __call__(self, progress: Any, cancel: Any) -> Steering:
+        self.wanted = progress, cancel
+        return self
+
+    def __enter__(self) -> None:
+        self.lock.acquire()
+        self._progress, self._cancel = self.wanted
+
+    def __exit__(self, *_: object) -> None:
+        self.lock.release()
 
     def progress(self, done: int, total: int) -> None:
         if self._progress is not None:
@@ -57,254 +66,166 @@ class DiscoverPanel(Panel):
     def build(self) -> None:
         self.investigation: Any = None
         self._steering = Steering()
-        self._reports: list[Report] = []
-        self._name = ""
-        #: Passed on to `Investigation`, for example ``{"effects": ["stage_drift", "laser_drift"]}``.
-        self.investigation_options: dict[str, Any] = {}
+        self._steps: list[tuple[Report, Places | None]] = []
+        self._name, self._first_frame = "", 0
+        self._examined: Any = lambda: None  # a weak reference to the layer
         self.report: Report | None = None
-        self._quiet = Quiet(self)
+        self.places: Places | None = None
+        self.layers = PlaceLayers(self.viewer)
         self.chooser, self.source = MovieChooser(self.session), ModelSource(self.session)
         self.seed, row = seed_row()
+        self.suspects = Suspects(self.session)
         self.verdict = QLabel()
         self.verdict.setWordWrap(True)
         self.verdict.hide()
-        self.tabs = Tabs(430)
-        self.tabs.addTab(self._where(), "Where it fails")
-        self.tabs.addTab(self._what(), "What is missing")
+        self.where, self.what, self.unseen = WherePage(self.viewer), WhatPage(), DetectablePage()
         self.history = PlotCanvas(self.viewer, "The error after each step appears here.", 260)
-        self.tabs.addTab(self.history, "Error")
+        self.where.chosen.connect(self._show_place)
+        self.where.in_image.toggled.connect(lambda _on: self._show_place(self.where.selected()))
+        self.what.ranking.itemSelectionChanged.connect(self._enable)
+        self.what.add_clicked.connect(self.add_selected)
+        self.what.undo_clicked.connect(self.undo)
+        self.tabs = Tabs(430)
+        pages = {"Where it fails": self.where, "What is missing": self.what, "Error": self.history}
+        for name, page in (pages | {"What would show": self.unseen}).items():
+            self.tabs.addTab(page, name)
+        self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), False)
         self.export_button = QPushButton("Export report and model …")
         self.export_button.setEnabled(False)
         self.export_button.clicked.connect(self._ask_and_export)
-        for item in (self.chooser, self.source, row, self.run_bar, self.verdict):
-            if isinstance(item, QWidget):
-                self.column.addWidget(item)
-            else:
-                self.column.addLayout(item)
+        self.column.addWidget(self.chooser)
+        self.column.addWidget(self.source)
+        self.column.addLayout(row)
+        self.column.addWidget(section("Suspects", self.suspects, False))
+        for widget in (self.run_bar, self.verdict):
+            self.column.addWidget(widget)
         self.column.addWidget(self.tabs, 1)
         self.column.addWidget(self.export_button)
-
-    def _where(self) -> QWidget:
-        page = QWidget()
-        layout = QVBoxLayout(page)
-        self.failing = table(["What is measured", "z before", "z now"])
-        self.failing.itemSelectionChanged.connect(self._show_curve)
-        self.curve = PlotCanvas(self.viewer, "Click an observable to see it measured and as the model has it.", 240)
-        layout.addWidget(self.failing, 1)
-        layout.addWidget(self.curve, 2)
-        return page
-
-    def _what(self) -> QWidget:
-        page = QWidget()
-        layout = QVBoxLayout(page)
-        self.ranking = table(["Effect", "Evidence", "Error after", "p"])
-        self.ranking.itemSelectionChanged.connect(self._show_candidate)
-        # A text that scrolls by itself: a wrapped label would push the buttons out of sight.
-        self.details = QTextBrowser()
-        self.details.setMinimumHeight(110)
-        self.details.setHtml("Effects that could explain the misfit appear above, the best one first.")
-        self.add_button, self.undo_button = QPushButton("Add to the model"), QPushButton("Undo")
-        self.add_button.setToolTip("Fit this effect and put it into the model")
-        self.undo_button.setToolTip("Take the last effect out again")
-        self.add_button.clicked.connect(self.add_selected)
-        self.undo_button.clicked.connect(self.undo)
-        self.simulate_box = QCheckBox("show the new model's movie beside the measured one")
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.add_button, 1)
-        buttons.addWidget(self.undo_button)
-        for widget in (self.ranking, self.details):
-            layout.addWidget(widget, 2 if widget is self.ranking else 1)
-        layout.addLayout(buttons)
-        layout.addWidget(self.simulate_box)
-        self.add_button.setEnabled(False)
-        self.undo_button.setEnabled(False)
-        return page
+        self.run_bar.finished.connect(self._enable)
 
     # runs -------------------------------------------------------------------------------------------
     def prepare(self) -> None:
         measurement = self.session.measurement().recorded()
         model, seed = self.session.matching_model(measurement.movie), self.seed.value()
-        steering, options = Steering(), dict(self.investigation_options)
+        steering, effects = Steering(), self.suspects.chosen()
+        shape_px, layer = tuple(measurement.movie.shape[1:]), weakref.ref(self.session.movie_layer)
 
         def work(progress: Any, cancel: Any) -> Any:
             from napari_mufasa.discover import Investigation
 
-            steering.take(progress, cancel)
-            investigation = Investigation(
-                measurement.movie, model, measurement.dark, seed=seed, progress=steering.progress,
-                cancel=steering.cancel, **options,
-            )  # fmt: skip
-            investigation.examine()
-            investigation.rank()
-            return investigation, investigation.report()
+            with steering(progress, cancel):
+                investigation = Investigation(
+                    measurement.movie, model, measurement.dark, seed=seed, effects=effects,
+                    progress=steering.progress, cancel=steering.cancel,
+                )  # fmt: skip
+                investigation.examine()
+                investigation.rank()
+                report = investigation.report()
+                return investigation, report, _places(investigation, report, shape_px, seed, cancel)
 
         def done(found: Any) -> None:
-            self.investigation, report = found
-            self._steering, self._reports, self._name = steering, [report], measurement.name
-            self.show_report(report)
+            self.investigation, report, places = found
+            self._steering, self._steps = steering, [(report, places)]
+            self._name, self._first_frame, self._examined = measurement.name, measurement.first_frame, layer
+            self.layers.clear()
+            self.show_report(report, places)
 
         self.start("Looking for what is missing", work, done)
 
     def add_selected(self) -> None:
         """Fit the selected effect into the model, see what is still missing."""
-        candidate, investigation, steering = self._selected_candidate(), self.investigation, self._steering
+        candidate, investigation, steering = self.what.candidate, self.investigation, self._steering
         if candidate is None or investigation is None:
             guarded(self.run_bar, self._complain)
             return
-        with_movie, seed = self.simulate_box.isChecked(), self.seed.value()
+        seed, shape_px = self.seed.value(), self._steps[0][0].model.acquisition.shape_px
 
         def work(progress: Any, cancel: Any) -> Any:
-            steering.take(progress, cancel)
-            n = len(investigation.chosen)
-            try:
-                investigation.add(candidate)
-                investigation.rank()
-                report = investigation.report()
-                simulated = None
-                if with_movie:
-                    from napari_mufasa.simulation import simulate
+            with steering(progress, cancel):
+                n = len(investigation.chosen)
+                try:
+                    investigation.add(candidate)
+                    investigation.rank()
+                    report = investigation.report()
+                    return report, _places(investigation, report, shape_px, seed, cancel)
+                except BaseException:
+                    if len(investigation.chosen) > n:  # stopped half-way: as if it had not been pressed
+                        investigation.undo()
+                    raise
 
-                    simulated = simulate(report.model, seed=seed, cancel=cancel)
-            except BaseException:
-                if len(investigation.chosen) > n:  # stopped half-way: as if it had not been pressed
-                    investigation.undo()
-                raise
-            return report, simulated
-
-        self.start(f"Adding {title_of(candidate.effect).lower()}", work, self._take)
+        self.start(f"Adding {in_text(candidate.effect)}", work, self._take)
         self._enable()
 
     def undo(self) -> None:
         """Back to the report before the last Add."""
-        if self.run_bar.running or len(self._reports) < 2:
+        if self.run_bar.running or len(self._steps) < 2:
             return
-        self.investigation.undo()
-        self._reports.pop()
-        self.show_report(self._reports[-1])
+        if not self._steering.lock.acquire(blocking=False):
+            self.run_bar.say("The run that was cancelled is still leaving: try again in a moment.")
+            return
+        try:
+            self.investigation.undo()
+        finally:
+            self._steering.lock.release()
+        self._steps.pop()
+        self.show_report(*self._steps[-1])
 
     def _complain(self) -> None:
         raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
 
     # results ----------------------------------------------------------------------------------------
-    def _take(self, found: Any) -> None:
-        report, simulated = found
-        self._reports.append(report)
-        self.show_report(report)
-        if simulated is not None:
-            from napari_mufasa.napari_io import movie_space
-            from napari_mufasa.widgets.layers import add_movie
+    def _take(self, found: tuple[Report, Places | None]) -> None:
+        self._steps.append(found)
+        self.show_report(*found)
 
-            layer = self.session.movie_layer
-            limits = {"contrast_limits": layer.contrast_limits} if layer is not None else {}
-            name, space = f"{self._name}, simulated by the model now", movie_space(simulated.model)
-            add_movie(self.viewer, simulated.movie, name, space, simulated.model, **limits)
-
-    def show_report(self, report: Report) -> None:
-        """Everything the panel shows follows from the report."""
-        self.report = report
+    def show_report(self, report: Report, places: Places | None = None) -> None:
+        """Everything the panel shows follows from the report and the places."""
+        self.report, self.places = report, places
         line, sentence = headline(report)
         self.verdict.setText(f"<b>{line}</b><br>{sentence}")
         self.verdict.setToolTip("\n".join(report.notes))
         self.verdict.show()
-        with self._quiet:
-            self._fill_failing(report)
-            self._fill_ranking(report)
-        if self.failing.rowCount():
-            self.failing.selectRow(0)
-        else:
-            self.curve.clear("The model describes every observable within its noise.")
-        if self.ranking.rowCount():
-            self.ranking.selectRow(0)
-        else:
-            self.details.setHtml("No further effect was tried.")
-        self._show_history(report)
+        self.where.show_report(report)
+        self.what.show_report(report)
+        self.unseen.show_report(report)
+        self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), bool(report.detectable))
+        self.history.draw(lambda figure: _draw_history(figure, report))
         self._enable()
         # What was found is what is believed from now on.
         self.session.set_model(report.model, f"fitted to {self._name}")
         self.session.set_result("report", report)
+        self._show_simulated()
+        if self.layers.place is not None:
+            self._show_place(self.where.selected())
 
     def _enable(self) -> None:
         free = not self.run_bar.running
-        self.add_button.setEnabled(free and self._selected_candidate() is not None)
-        self.undo_button.setEnabled(free and len(self._reports) > 1)
+        self.what.add_button.setEnabled(free and self.what.candidate is not None)
+        self.what.undo_button.setEnabled(free and len(self._steps) > 1)
         self.export_button.setEnabled(self.report is not None)
 
-    def _fill_failing(self, report: Report) -> None:
-        self.failing.setRowCount(0)
-        self.failing.setColumnHidden(2, not report.chosen)
-        for item in report.failing:
-            where = f"\n{item['where']}" if item.get("where") else ""
-            tip = f"{item.get('title', item['observable'])}{where}"
-            now = item.get("z_after")
-            add_row(
-                self.failing,
-                [str(item.get("title", item["observable"])), f"{item['z']:+.1f}", "" if now is None else f"{now:+.1f}"],
-                tip, str(item["observable"]),
-            )  # fmt: skip
+    def _movie(self) -> Any:
+        """The layer that was examined, if it is still there."""
+        layer = self.session.movie_layer
+        return layer if layer is not None and layer is self._examined() else None
 
-    def _fill_ranking(self, report: Report) -> None:
-        self.ranking.setRowCount(0)
-        for candidate in report.ranking:
-            after = candidate.error_after
-            cells = [title_of(candidate.effect), f"{candidate.evidence:.0f}", "–" if after is None else f"{after:.2f}"]
-            add_row(self.ranking, [*cells, f"{candidate.p_value:.1g}"], words_of(candidate), candidate.effect)
-
-    def _show_curve(self) -> None:
-        if self._quiet or self.report is None or not self.failing.selectedItems():
+    def _show_place(self, observable: str) -> None:
+        movie = self._movie()
+        if not self.where.in_image.isChecked() or movie is None or self.places is None or not observable:
+            self.layers.hide_place()
+            self.where.say_place("")
             return
-        chosen: Any = self.failing.selectedItems()[0]
-        name = str(chosen.data(Qt.ItemDataRole.UserRole))
-        curve = matching_curve(name, self.report.curves)
-        row = self.report.observables.query("observable == @name")
-        title = told(row.iloc[0], bool(self.report.chosen)) if len(row) else ""
-        if curve is None:  # a single number: show it among the others
-            observables = self.report.observables
+        self.where.say_place(self.layers.show(observable, self.places, movie, self._first_frame))
 
-            def draw_all(figure: Any) -> Any:
-                from napari_mufasa import plotting
+    def _show_simulated(self) -> None:
+        movie = self._movie()
+        if self.report is None or not self.report.chosen or self.places is None or movie is None:
+            self.layers.hide_simulated()
+        elif self.what.simulate_box.isChecked():
+            name = f"{self._name}, simulated with {' and '.join(in_text(k) for k in self.report.chosen)}"
+            self.layers.show_simulated(self.places, movie, name, self._first_frame)
 
-                plotting.z_scores(figure.subplots(), observables)
-                return observables
-
-            self.curve.draw(draw_all, title)
-            return
-
-        def draw(figure: Any) -> Any:
-            import pandas as pd
-
-            from napari_mufasa import plotting
-
-            plotting.curve(figure.subplots(), curve)
-            columns = ("x", "measured", "before", "before_sd", "after", "after_sd")
-            return pd.DataFrame({column: getattr(curve, column) for column in columns})
-
-        self.curve.draw(draw, title)
-
-    def _selected_candidate(self) -> Candidate | None:
-        row = self.ranking.currentRow()
-        if self.report is None or not 0 <= row < len(self.report.ranking):
-            return None
-        return self.report.ranking[row]
-
-    def _show_candidate(self) -> None:
-        candidate = self._selected_candidate()
-        if self._quiet or candidate is None:
-            return
-        self.details.setHtml(words_of(candidate))
-        self.add_button.setText(f"Add {title_of(candidate.effect).lower()}")
-        self._enable()
-
-    def _show_history(self, report: Report) -> None:
-        def draw(figure: Any) -> Any:
-            import pandas as pd
-
-            from napari_mufasa import plotting
-
-            plotting.staircase(figure.subplots(), report)
-            return pd.DataFrame(report.history)
-
-        self.history.draw(draw)
-
+    # files ------------------------------------------------------------------------------------------
     def _ask_and_export(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for report.json and model.json")
         if folder:
@@ -322,3 +243,20 @@ class DiscoverPanel(Panel):
         self.report.model.to_json(target / "model.json")
         write_table(target / "observables.csv", self.report.observables)
         self.run_bar.say(f"Written: report.json, model.json and observables.csv in {folder}")
+
+
+def _places(investigation: Any, report: Report, shape_px: Any, seed: int, cancel: Any) -> Places:
+    """Where the model as it stands fails: the base model until an effect was added."""
+    from napari_mufasa.widgets.places import find_places
+
+    model = report.model if report.chosen else report.base
+    return find_places(investigation.measurement, model, shape_px, seed=seed, cancel=cancel)
+
+
+def _draw_history(figure: Any, report: Report) -> Any:
+    import pandas as pd
+
+    from napari_mufasa import plotting
+
+    plotting.staircase(figure.subplots(), report)
+    return pd.DataFrame(report.history)

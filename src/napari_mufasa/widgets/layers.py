@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from napari_mufasa.model import Model
 
+PLACE = "where the model fails"  # role of layers that show misfit: never a movie
+
 
 class LayerCombo(QComboBox):
     """A list of the viewer's Image layers that follows the layer list; `None` where "none" is offered."""
@@ -56,7 +58,8 @@ class LayerCombo(QComboBox):
         from napari.layers import Image
 
         before = self.layer()
-        images = [layer for layer in self._viewer.layers if isinstance(layer, Image)]
+        layers = [layer for layer in self._viewer.layers if isinstance(layer, Image)]
+        images = [image for image in layers if stored(image, "role") != PLACE]
         # Dark frames are never the movie.
         self._layers = [image for image in images if self._none_label or stored(image, "role") != "dark frames"]
         names = [layer.name for layer in self._layers]

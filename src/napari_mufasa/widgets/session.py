@@ -27,13 +27,15 @@ if TYPE_CHECKING:
 class Measurement:
     """What was recorded: `movie` and `dark` (frame, y, x) as stored in the layers, possibly lazy; `name` for titles.
 
-    `unit` is "adu" for what a camera recorded, "photons" for a movie that was denoised.
+    `unit` is "adu" for what a camera recorded, "photons" for a movie that was denoised. `first_frame` is the layer's
+    frame that `movie` begins with: dark frames before it are cut off.
     """
 
     movie: Any
     dark: Any
     name: str
     unit: Literal["adu", "photons"] = "adu"
+    first_frame: int = 0
 
     def recorded(self) -> Measurement:
         """Itself; raises `MufasaError` when it is not what a camera recorded."""
@@ -127,7 +129,7 @@ class Session(QObject):
         layer = self.movie_layer
         if layer is None:
             raise MufasaError("no movie chosen: open one, or File > Open Sample > MUFASA, then choose it in step Data")
-        movie, dark = stack_of(layer), None
+        movie, dark, first = stack_of(layer), None, 0
         if self.dark_layer is not None:
             dark = stack_of(self.dark_layer)
         elif self.first_dark_frames:
@@ -136,8 +138,9 @@ class Session(QObject):
                 raise MufasaError(
                     f"the first {n} frames are called dark, but {layer.name} has {len(movie)}: give fewer dark frames"
                 )
-            movie, dark = movie[n:], movie[:n]
-        return Measurement(movie, dark, layer.name, "photons" if stored(layer, "role") == "photons" else "adu")
+            movie, dark, first = movie[n:], movie[:n], n
+        unit: Literal["adu", "photons"] = "photons" if stored(layer, "role") == "photons" else "adu"
+        return Measurement(movie, dark, layer.name, unit, first)
 
     def matching_model(self, movie: Any) -> Model:
         """The believed model with the movie's own number of frames and detector shape."""
@@ -189,7 +192,7 @@ def stack_of(layer: Image) -> Any:
 
 
 def stored(layer: Layer | None, key: str) -> Any:
-    """What the layer's metadata say of us: `model`, `seed`, `role` ("dark frames", "photons"), `dark_layer`."""
+    """What the layer's metadata say of us: `model`, `seed`, `role` ("dark frames", "photons" …), `dark_layer`."""
     ours = layer.metadata.get(METADATA_KEY) if layer is not None else None
     return ours.get(key) if isinstance(ours, dict) else None
 

@@ -9,7 +9,7 @@ from napari_mufasa.wording import effect_title as title_of
 if TYPE_CHECKING:
     from napari_mufasa.discover.result import Candidate, Report
 
-__all__ = ["headline", "matching_curve", "title_of", "told", "words_of"]
+__all__ = ["detectable_rows", "headline", "matching_curve", "title_of", "told", "words_of"]
 
 
 def words_of(candidate: Candidate) -> str:
@@ -61,3 +61,19 @@ def matching_curve(observable: str, curves: Any) -> Any:
     """The curve an observable belongs to: the one whose name it starts with (the longest such)."""
     fitting = [curve for curve in curves if observable.startswith(curve.name)]
     return max(fitting, key=lambda curve: len(curve.name), default=None)
+
+
+def detectable_rows(report: Report) -> list[tuple[str, str, str, str]]:
+    """(kind, title, smallest strength that would have shown, what it does) of each effect, those that show first."""
+    from napari_mufasa.effects import catalogue
+    from napari_mufasa.wording import parameter_label
+
+    rows = []
+    for kind, strength in sorted(report.detectable.items(), key=lambda item: (item[1] is None, title_of(item[0]))):
+        effect = catalogue().get(kind)
+        words = "not at any plausible strength"
+        if strength is not None and effect is not None:
+            label, unit = parameter_label(kind, effect.strength)
+            words = f"{label} {strength:.2g} {unit}".strip()
+        rows.append((kind, title_of(kind), words, effect.what_it_does if effect is not None else ""))
+    return rows
