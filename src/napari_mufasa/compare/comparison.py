@@ -241,19 +241,19 @@ def _sample(traces: TraceSet) -> Sample:
 def _cut(
     values: NDArray[np.floating], model: Model, background_subtracted: bool, window: int | None, best: int | None
 ) -> Sample:
-    level = values if background_subtracted else values - _background_e(model)
-    dyn = dynamics(level)
+    background = 0.0 if background_subtracted else _background_e(model)
+    dyn = dynamics(values - background)
+    if window is None and best is None:
+        return Sample(values, dyn)
     if window is not None:
         start = windows(dyn, window)
         rows = np.flatnonzero(start >= 0)
-        if best is not None:
-            rows = rows[np.argsort(-dyn.snr[rows], kind="stable")[:best]]
         values = np.array([values[i, start[i] : start[i] + window] for i in rows]).reshape(-1, window)
-        level = values if background_subtracted else values - _background_e(model)
-    elif best is not None:
+        dyn = dynamics(values - background)
+    if best is not None:  # by what the window shows, not by what came before it
         values = values[np.argsort(-dyn.snr, kind="stable")[:best]]
-        level = values if background_subtracted else values - _background_e(model)
-    return Sample(values, dynamics(level))
+        dyn = dynamics(values - background)
+    return Sample(values, dyn)
 
 
 def _background_e(model: Model) -> float:

@@ -76,17 +76,22 @@ def autocorrelation(sample: Sample, n_lags: int) -> NDArray[np.float64]:
 
     Each trace's mean is taken off; the bias this makes (−1/T) is the same in measurement and simulation.
     """
-    total, weight = np.zeros(n_lags), np.zeros(n_lags)
-    ends = np.where(sample.dynamics.bleaching_frame >= 0, sample.dynamics.bleaching_frame, sample.traces.shape[1])
-    for trace, end in zip(sample.traces, ends, strict=True):
-        part = np.asarray(trace[:end], dtype=np.float64)
-        if len(part) < 3 or part.std() == 0:
-            continue
-        part = (part - part.mean()) / part.std()
-        for lag in range(min(n_lags, len(part) - 1)):
-            total[lag] += float(part[: len(part) - lag] @ part[lag:])
-            weight[lag] += len(part) - lag
-    return np.asarray(np.divide(total, weight, out=np.full(n_lags, np.nan), where=weight > 0))
+    traces = np.asarray(sample.traces, dtype=np.float64)
+    n_frames = traces.shape[1]
+    ends = np.where(sample.dynamics.bleaching_frame >= 0, sample.dynamics.bleaching_frame, n_frames)
+    lit = np.arange(n_frames) < ends[:, None]
+    length = np.maximum(ends, 1)[:, None]
+    about = np.where(lit, traces - np.where(lit, traces, 0.0).sum(axis=1, keepdims=True) / length, 0.0)
+    sd = np.sqrt((about**2).sum(axis=1, keepdims=True) / length)
+    usable = (ends >= 3) & (sd[:, 0] > 0)
+    about, ends = about[usable] / sd[usable], ends[usable]
+    result = np.full(n_lags, np.nan)
+    for lag in range(n_lags):
+        long = ends - 1 > lag
+        weight = (ends[long] - lag).sum()
+        if weight > 0:
+            result[lag] = (about[long, : n_frames - lag] * about[long, lag:]).sum() / weight
+    return result
 
 
 def dwell_frames(lit: NDArray[np.bool_], state: bool) -> NDArray[np.int64]:
