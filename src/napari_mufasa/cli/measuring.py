@@ -25,6 +25,10 @@ Window = Annotated[
     int | None, typer.Option("--window", min=1, metavar="N", help="Keep N frames just before each bleaching.")
 ]
 Best = Annotated[int | None, typer.Option("--best", min=1, metavar="N", help="Keep the N best molecules.")]
+MaxSteps = Annotated[
+    int | None, typer.Option("--max-steps", min=0, metavar="N", help="At most N bleaching steps (1: single molecules).")
+]
+FollowDrift = Annotated[bool, typer.Option("--follow-drift", help="Let positions follow the motion of the field.")]
 IN_MEMORY_BYTES = 2**30
 
 
@@ -44,6 +48,18 @@ class ProfileName(StrEnum):
     psf = "psf"
     sum = "sum"
     brightest_pixel = "brightest_pixel"
+
+
+class TimesName(StrEnum):
+    model = "model"
+    tool = "tool"
+
+
+class ThresholdName(StrEnum):
+    sigma = "sigma"
+    percentile = "percentile"
+    otsu = "otsu"
+    triangle = "triangle"
 
 
 def denoise(
@@ -81,6 +97,25 @@ def traces(
     dark: DarkFile = None,
     window: Window = None,
     best: Best = None,
+    max_steps: MaxSteps = None,
+    min_steps: Annotated[
+        int | None, typer.Option("--min-steps", min=0, metavar="N", help="At least N bleaching steps.")
+    ] = None,
+    follow_drift: FollowDrift = False,
+    profile: Annotated[
+        ProfileName, typer.Option("--profile", help="The whole spot (psf), a disc (sum), or one pixel.")
+    ] = ProfileName.psf,
+    with_background: Annotated[
+        bool, typer.Option("--with-background", help="Leave the local background in the traces.")
+    ] = False,
+    threshold: Annotated[ThresholdName, typer.Option("--threshold", help="How candidates are told from noise.")] = (
+        ThresholdName.sigma
+    ),
+    threshold_value: Annotated[
+        float | None, typer.Option("--threshold-value", metavar="V", help="Noise sd (6) or percentile (98).")
+    ] = None,
+    min_snr: Annotated[float, typer.Option("--min-snr", min=0, metavar="R", help="Level over noise per frame.")] = 1.0,
+    hdf5: Annotated[bool, typer.Option("--hdf5", help="Also write traces.h5, traces and table in one file.")] = False,
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
     from napari_mufasa import figures, io, plotting, trace_files
@@ -94,7 +129,9 @@ def traces(
     with console.working("traces") as work:
         found = extract_traces(
             source.data, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
-            **work.both(),
+            max_steps=max_steps, min_steps=min_steps, follow_drift=follow_drift, profile=profile.value,
+            subtract_background=not with_background, threshold=threshold.value, threshold_value=threshold_value,
+            min_snr=min_snr, **work.both(),
         )  # fmt: skip
     picture = figures.mean_image(source.data)
     kept = found.molecules["molecule"][found.kept].tolist()
@@ -105,7 +142,7 @@ def traces(
         figures.Drawing("traces", "", (7.2, 5.4), lambda f: plotting.contact_sheet(f, found.traces, kept)),
     ]
     with console.folder(out) as folder:
-        trace_files.write_traces(folder, found)
+        trace_files.write_traces(folder, found, hdf5=hdf5)
         _write_figures(folder, drawings)
     typer.echo(f"{out}: {len(kept)} molecules kept of {len(found.molecules)} candidates")
     reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
@@ -131,6 +168,11 @@ def compare(
     ] = None,
     window: Window = None,
     best: Best = None,
+    max_steps: MaxSteps = None,
+    follow_drift: FollowDrift = False,
+    sofi_times: Annotated[
+        TimesName, typer.Option("--sofi-times", help="On, off and bleaching times of SOFI: the model's or the tool's.")
+    ] = TimesName.model,
     seed: Seed = 0,
 ) -> None:
     """Measure the distance W1 between measurement and model, with baselines and floor."""
@@ -142,15 +184,23 @@ def compare(
         raise MufasaError("give either a MOVIE or --traces FILE")
     console.check_folder_out(out)
     believed = Model.from_json(model)
-    cut = {"window": window, "best": best}
+    shared: dict[str, Any] = {"window": window, "best": best, "seed": seed, "sofi_times": sofi_times.value}
     if movie is not None:
+        if unit is not None:
+            raise MufasaError("--unit belongs to --traces; a movie is in ADU")
         recorded = io.load(movie)
         background = None if dark is None else io.load(dark)
         with console.working("comparing") as work:
-            result = comparing.compare_movie(recorded, believed, background, seed=seed, **cut, **work.both())  # type: ignore[arg-type]
+            result = comparing.compare_movie(
+                recorded, believed, background, max_steps=max_steps, follow_drift=follow_drift,
+                profile=profile.value if profile else "psf", subtract_background=not with_background, **shared,
+                **work.both(),
+            )  # fmt: skip
     else:
         if dark is not None:
             raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
+        if max_steps is not None or follow_drift:
+            raise MufasaError("--max-steps and --follow-drift choose molecules in a movie; give one, or drop them")
         values, found_unit = trace_files.read_traces(traces or Path())
         raw = found_unit == "adu" and (traces or Path()).suffix.lower() in (".tif", ".tiff")
         with console.working("comparing") as work:
@@ -158,7 +208,7 @@ def compare(
                 values, believed, unit=unit.value if unit else found_unit,
                 profile=profile.value if profile else ("brightest_pixel" if raw else "psf"),
                 background_subtracted=not (raw if with_background is None else with_background),
-                window=window, best=best, seed=seed, cancel=work.cancel,
+                **shared, **work.both(),
             )  # fmt: skip
     with console.folder(out) as folder:
         io.write_json(folder / "report.json", result.report())
