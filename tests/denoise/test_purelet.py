@@ -94,7 +94,7 @@ def test_applied_estimator_is_the_one_whose_risk_was_estimated():
     np.testing.assert_allclose(direct.ravel(), combined, atol=2e-4)
 
 
-@pytest.mark.parametrize("method", ["undecimated", "cycle-spinning"])
+@pytest.mark.parametrize("method", ["undecimated", "cycle-spinning", "patches"])
 @pytest.mark.parametrize("shape", [(1, 1), (3,), (64,), (7, 9), (33, 71), (1, 80), (80, 1), (201, 64)])
 def test_any_shape_keeps_its_shape_and_mean(method, shape):
     y = np.random.default_rng(0).poisson(4.0, shape)
@@ -104,19 +104,19 @@ def test_any_shape_keeps_its_shape_and_mean(method, shape):
     assert out.mean(dtype=float) == pytest.approx(y.mean(), rel=1e-5)
 
 
-@pytest.mark.parametrize("method", ["undecimated", "cycle-spinning"])
+@pytest.mark.parametrize("method", ["undecimated", "cycle-spinning", "patches"])
 def test_a_constant_image_stays_constant(method):
     out = pure_let(np.full((70, 53), 7.0), offset=2.0, method=method)
     np.testing.assert_allclose(out, 5.0, atol=1e-4)
 
 
-@pytest.mark.parametrize("method", ["undecimated", "cycle-spinning"])
+@pytest.mark.parametrize("method", ["undecimated", "cycle-spinning", "patches"])
 def test_it_denoises_and_cycle_spinning_is_the_weaker(method):
     rng = np.random.default_rng(5)
     x = scene(128) * 10
     out = pure_let(rng.poisson(x), method=method)
     gain_db = 10 * np.log10(np.mean(x) / np.mean((out - x) ** 2))
-    assert gain_db > (8.0 if method == "undecimated" else 7.0)
+    assert gain_db > (7.0 if method == "cycle-spinning" else 8.0)
 
 
 def test_borders_are_as_good_as_the_inside():
@@ -200,3 +200,45 @@ def test_bad_input_is_told_in_one_line(arguments, message):
     with pytest.raises(MufasaError, match=message) as caught:
         pure_let(**arguments)
     assert "\n" not in str(caught.value)
+
+
+def stripes(side=96):
+    """Curved stripes and an edge: the same small pattern over and over."""
+    y, x = np.mgrid[:side, :side]
+    return 0.3 + 0.25 * np.sin(np.hypot(y + 20, x + 40) * 0.8) + 0.4 * (x > 0.6 * side)
+
+
+def test_like_patches_help_where_the_image_repeats_itself():
+    rng = np.random.default_rng(12)
+    x = stripes() * 15
+    first = second = 0.0
+    for _ in range(4):
+        y = rng.poisson(x)
+        first += np.mean((pure_let(y) - x) ** 2)
+        second += np.mean((pure_let(y, method="patches") - x) ** 2)
+    assert second < 0.85 * first
+
+
+def test_like_patches_do_no_harm_where_hardly_a_count_is_seen():
+    rng = np.random.default_rng(13)
+    x = scene(128) * 0.5
+    first = second = 0.0
+    for _ in range(4):
+        y = rng.poisson(x)
+        first += np.mean((pure_let(y) - x) ** 2)
+        second += np.mean((pure_let(y, method="patches") - x) ** 2)
+    assert second < 1.03 * first
+
+
+def test_the_second_pass_is_linear_in_the_data_at_the_pilot():
+    # With the truth as pilot and no structure, groups are averaged: the mean of many results is the truth even at
+    # 0.2 counts per pixel, where a square root and its inverse would not give it. Standard error of the mean of
+    # 12 x 64 x 64 pixels at 0.2 counts: 0.002; limit five of them.
+    from napari_mufasa.denoise import patches
+
+    rng = np.random.default_rng(14)
+    pilot = np.full((64, 64), 0.2, np.float32)
+    noise = let.Noise(1.0, np.float32(0.0))
+    runs = [patches.refined(rng.poisson(pilot).astype(np.float32), pilot, noise) for _ in range(12)]
+    assert abs(np.mean(runs) - 0.2) < 0.01
+    assert np.mean((np.mean(runs, axis=0) - 0.2) ** 2) < 0.01

@@ -55,6 +55,11 @@ class Noise:
     variance: Array
     multiplied: bool = False
 
+    def within(self, part: tuple[slice, ...]) -> Noise:
+        """The noise of a part of the image, which must be two-dimensional if the variance is a map."""
+        variance = np.asarray(self.variance)
+        return Noise(self.alpha, variance[part] if variance.ndim else variance, self.multiplied)
+
     def stencil(self) -> tuple[float, float, float, float]:
         """Step, and the shares of F with that step less, here and with that step more."""
         if not self.multiplied:

@@ -20,11 +20,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-Method = Literal["pure-let", "pure-let-movie", "source", "none"]
+Method = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
 #: Frames read, denoised and written together.
 BLOCK = 16
 #: Frames whose pooled risk sets the weights of a movie.
 SAMPLES = 16
+#: Frames that settle how far the second pass goes.
+PATCH_SAMPLES = 4
 #: Frames in work at once.
 WORKERS = max(1, min(4, os.cpu_count() or 1))
 
@@ -50,7 +52,8 @@ def denoise(
         Gain, read noise, baseline, quantum efficiency and maps.
     method : str
         "pure-let-movie": mixed-noise PURE-LET with neighbouring frames as predictors; "pure-let": the same, frame by
-        frame; "source": the recipe of the source note, step by step; "none": only the camera's inverse.
+        frame; "pure-let-patches": each frame by itself, like patches filtered together: the best for single frames,
+        ten times slower; "source": the recipe of the source note, step by step; "none": only the camera's inverse.
     excess_noise : bool
         An EMCCD's multiplication doubles the variance; False treats its signal as plain Poisson, as the source does.
     progress : callable (done, total), optional
@@ -110,6 +113,7 @@ class _Frames:
         self.multiplied = camera.type == "EMCCD" and excess_noise
         self.alpha = cam.multiplication_noise(camera) if self.multiplied else 1.0
         self.weights: Array | None = None
+        self.way = 0.0
         from .temporal import NEIGHBOURS, rings_for
 
         self.rings = rings_for(NEIGHBOURS if method == "pure-let-movie" and shape[0] > 1 else 0)
@@ -134,7 +138,7 @@ class _Frames:
 
     def learn(self, cancel: Callable[[], bool] | None) -> None:
         """Weights of least pooled risk over frames spread evenly through the movie."""
-        if self.method not in ("pure-let", "pure-let-movie"):
+        if self.method in ("source", "none"):
             return
         from .purelet import LEVELS, risk_systems
         from .temporal import chosen_weights, guides_of, sample_frames, sample_windows
@@ -150,6 +154,21 @@ class _Frames:
             frame = data[t - first]
             parts += risk_systems(frame, self.noise(frame), LEVELS, False, tiles, guides, relative)
         self.weights = chosen_weights(parts)
+        if self.method == "pure-let-patches" and self.weights is not None:
+            self.way = float(np.mean([self._way(t, cancel) for t in sample_frames(self.shape[0], PATCH_SAMPLES)]))
+
+    def _way(self, t: int, cancel: Callable[[], bool] | None) -> float:
+        """How far the second pass should go, judged on the middle of frame ``t``."""
+        _stop_if(cancel)
+        from . import patches
+        from .purelet import LEVELS, applied, central
+
+        frame = self.read(t, t + 1)[0]
+        noise = self.noise(frame).within(central(frame.shape))
+        part = np.ascontiguousarray(frame[central(frame.shape)])
+        if not patches.big_enough(part.shape):
+            return 0.0
+        return patches.judge(part, noise, lambda y: applied(y, noise, LEVELS, False, self.weights))[0]
 
     def reach(self, start: int, stop: int) -> tuple[int, int]:
         """The block with the neighbours that its frames look at."""
@@ -162,6 +181,7 @@ class _Frames:
             return self.read(start, stop)
         if self.method == "source":
             return source_recipe(np.asarray(self.movie[start:stop]), self.camera)
+        from . import patches
         from .purelet import LEVELS
         from .temporal import apply_frame
 
@@ -171,7 +191,9 @@ class _Frames:
 
         def one(t: int) -> None:
             frame = data[t - first]
-            out[t - start] = apply_frame(data, t - first, self.noise(frame), self.rings, LEVELS, self.weights)
+            noise = self.noise(frame)
+            result = apply_frame(data, t - first, noise, self.rings, LEVELS, self.weights)
+            out[t - start] = patches.towards(frame, result, noise, self.way) if self.way > 0 else result
 
         # The kernels release the interpreter: threads share the block's frames.
         with ThreadPoolExecutor(max_workers=min(WORKERS, stop - start)) as pool:
