@@ -39,6 +39,7 @@ ON_FIGURES = {
     "curves": lambda f: plotting.curves(f, report().curves),
     "strengths": lambda f: plotting.strengths(f, report().ranking[0]),
     "contact_sheet": lambda f: plotting.contact_sheet(f, TRACES),
+    "side_by_side": lambda f: plotting.side_by_side(f, TRACES, TRACES[:, :40]),
     "contact_sheet_of_nothing": lambda f: plotting.contact_sheet(f, TRACES[:0]),
     "distributions": lambda f: plotting.distributions(f, [SHOWN, SHOWN]),
     "montage": lambda f: plotting.montage(f, MOVIE, title="Movie"),
