@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -21,11 +22,14 @@ from napari_mufasa.model import Model
 from napari_mufasa.simulation import Acquisition
 from napari_mufasa.streams import Streams
 from napari_mufasa.traces import Options, TraceSet, extract_traces
-from napari_mufasa.traces.profile import pixel_shares
+from napari_mufasa.traces.profile import aperture, pixel_shares
 
 Cancel = Callable[[], bool]
 SofiTimes = Literal["model", "tool"]
 IN_MEMORY_BYTES = 2**29  # larger movies are simulated anew for every block that extraction asks for
+
+
+PLACES = 50  # places within a pixel at which weights are worked out; further molecules share them
 
 
 class SimulatedMovie:
@@ -90,7 +94,8 @@ class FarApart:
     """Molecules far from each other, each anywhere within its pixel: how traces without a movie are simulated.
 
     Traces of the brightest pixel with its background need no image: every molecule is one pixel that receives
-    its share of the light. Others are recorded in a field with room for the background rings.
+    its share of the light. Others are recorded in a field with room for the background rings, or (`quick`)
+    without images, as one pixel each with the noise that the weights of the profile give.
 
     Parameters
     ----------
@@ -101,10 +106,18 @@ class FarApart:
     """
 
     def __init__(
-        self, sigma_px: float, n_molecules: int, options: Options, seed: int, pixel_share: float | None = None
+        self,
+        sigma_px: float,
+        n_molecules: int,
+        options: Options,
+        seed: int,
+        pixel_share: float | None = None,
+        *,
+        quick: bool = False,
     ) -> None:
         self.options = options
         self.one_pixel = options.profile == "brightest_pixel" and not options.subtract_background
+        self.weighing: Weighing | None = None
         if pixel_share is not None and not (self.one_pixel and 0 < pixel_share <= 1):
             raise MufasaError(
                 f"pixel_share = {pixel_share}: a share in 0 … 1 for brightest-pixel traces with their background"
@@ -112,11 +125,13 @@ class FarApart:
         index = np.arange(n_molecules, dtype=np.float64)
         self.positions_px: NDArray[np.float64]
         offset = Streams(seed).of("place in the pixel").uniform(-0.5, 0.5, (n_molecules, 2))
-        if self.one_pixel:
+        if self.one_pixel or quick:
             shares = pixel_shares(offset[:, 0], offset[:, 1], sigma_px)
             self.shares = shares if pixel_share is None else np.full(n_molecules, float(pixel_share))
             self.shape_px = (1, n_molecules)
             self.positions_px = np.stack([np.zeros(n_molecules), index], axis=1)
+            if not self.one_pixel:
+                self.weighing = weigh(offset, sigma_px, options)
             return
         spacing = int(np.ceil(8 * sigma_px)) + 3
         if options.subtract_background:
@@ -142,16 +157,78 @@ class FarApart:
 
     def traces(self, acquisition: Acquisition, cancel: Cancel | None = None) -> NDArray[np.float32]:
         """(molecule, frame) photoelectrons at the known positions."""
-        if not self.one_pixel:
+        if self.one_pixel:
+            light = self._light(acquisition) * self.shares.astype(np.float32)[:, None]
+            return _detected(acquisition, light + self._background(acquisition))
+        if self.weighing is None:
             return extract_simulated(acquisition, self.options, self.positions_px, cancel).all_traces
+        weighing, background = self.weighing, self._background(acquisition)
+        light = self._light(acquisition) * (weighing.share / weighing.excess).astype(np.float32)[:, None]
+        signal = _detected(acquisition, light, read_noise=False) * weighing.excess.astype(np.float32)[:, None]
+        camera = acquisition.model.camera
+        gain = float(camera.em_gain or 1.0)
+        level_e = camera.quantum_efficiency * background + camera.clock_induced_charge_e
+        variance = detector.multiplication_noise(camera) * level_e + (camera.read_noise_e / gain) ** 2
+        if not self.options.subtract_background:
+            signal = signal + level_e * weighing.weight[:, None]
+        noise = acquisition.scene.streams.of("noise of the weights").standard_normal(signal.shape)
+        return np.asarray(signal + noise * np.sqrt(variance * weighing.squares[:, None]), dtype=np.float32)
+
+    def _light(self, acquisition: Acquisition) -> NDArray[np.float32]:
+        """(molecule, frame) photons collected from each place."""
         scene, optics = acquisition.scene, acquisition.model.optics
         share = optics.collection_efficiency * optics.brightness_correction * scene.brightness
-        light = np.zeros((scene.n_frames, 1, len(self.positions_px)), np.float32)
+        light = np.zeros((len(self.positions_px), scene.n_frames), np.float32)
         for photons, column in zip(acquisition.emission * share[:, None], scene.positions_px[:, 1], strict=True):
-            light[:, 0, round(column)] += photons  # several emitters may share a pixel
-        light *= self.shares.astype(np.float32)
-        course = (scene.light * scene.background).astype(np.float32)
-        light += course[:, None, None] * scene.background_map().astype(np.float32)
-        frames = np.arange(scene.n_frames)
-        adu = detector.expose(light, acquisition.model.camera, scene.streams, frames, scene.sensor)
-        return detector.photoelectrons(adu, acquisition.model.camera)[:, 0].T
+            light[round(column)] += photons  # several emitters may share a pixel
+        return light
+
+    def _background(self, acquisition: Acquisition) -> NDArray[np.float32]:
+        """(molecule, frame) background photons per pixel."""
+        scene = acquisition.scene
+        return np.asarray(scene.background_map()[0][:, None] * (scene.light * scene.background), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """What the weights of a profile do to one molecule's light, each (molecule,).
+
+    share : signal in the trace over light collected; excess : variance of the signal over its Poisson value;
+    weight, squares : sums of the weights (molecule only) and of their squares (with the background's)
+    """
+
+    share: NDArray[np.float64]
+    excess: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    squares: NDArray[np.float64]
+
+
+def weigh(offset_px: NDArray[np.float64], sigma_px: float, options: Options) -> Weighing:
+    """The `Weighing` of molecules at these places within their pixel, (molecule, 2)."""
+    reach = int(np.ceil(8 * sigma_px)) + 4
+    shape = (2 * reach + 1, 2 * reach + 1)
+    y, x = np.indices(shape).reshape(2, -1)
+    alone = np.empty((0, 2))
+    found = []
+    for place in offset_px[:PLACES] + reach:
+        opening = aperture(
+            place[None], shape, sigma_px, options.profile, subtract_background=options.subtract_background,
+            neighbours_px=alone,
+        )  # fmt: skip
+        row = np.asarray(opening.signal.todense(), dtype=np.float64)[0]
+        shares = pixel_shares(y - place[0], x - place[1], sigma_px)
+        share = float(row @ shares)
+        found.append((share, float(row**2 @ shares) / share, float(row[row > 0].sum()), float(row @ row)))
+    each = np.resize(np.arange(len(found)), len(offset_px))
+    return Weighing(*np.array(found)[each].T)
+
+
+def _detected(acquisition: Acquisition, light: NDArray[np.float32], read_noise: bool = True) -> NDArray[np.float32]:
+    """Photoelectrons (molecule, frame) that the camera makes of photons, one pixel per molecule."""
+    scene, camera = acquisition.scene, acquisition.model.camera
+    if not read_noise:
+        camera = camera.model_copy(update={"read_noise_e": 0.0, "clock_induced_charge_e": 0.0})
+    frames = np.arange(scene.n_frames)
+    image = np.ascontiguousarray(light.T[:, None], dtype=np.float32)
+    adu = detector.expose(image, camera, scene.streams, frames, scene.sensor)
+    return detector.photoelectrons(adu, camera)[:, 0].T

@@ -49,7 +49,7 @@ def samples_w1(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     return float(np.abs(np.cumsum(share)[:-1]) @ np.diff(together[order]))
 
 
-class _Pooled:
+class Pooled:
     """Many W1s between resampled molecules: all samples are sorted once, then only their weights change."""
 
     def __init__(self, traces: NDArray[np.floating]) -> None:
@@ -93,7 +93,7 @@ def floor(measured: Any, rows: Rows = "frames", n_splits: int = 50, rng: np.rand
     if len(traces) < 2:
         return Floor(float("nan"), float("nan"), float("nan"))
     half = len(traces) // 2
-    pooled = _Pooled(traces)
+    pooled = Pooled(traces)
     values = []
     for _ in range(n_splits):
         order = rng.permutation(len(traces))
@@ -118,7 +118,7 @@ def bootstrap_interval(
     a, b = _traces(measured, "measured"), _traces(simulated, "simulated")
     rng = rng or np.random.default_rng(0)
     centre = wasserstein(a, b, rows)
-    pooled = _Pooled(np.concatenate([a, b])) if a.shape[1] == b.shape[1] and rows == "frames" else None
+    pooled = Pooled(np.concatenate([a, b])) if a.shape[1] == b.shape[1] and rows == "frames" else None
     drawn = []
     for _ in range(n):
         i, j = rng.integers(len(a), size=len(a)), rng.integers(len(b), size=len(b))
@@ -145,7 +145,7 @@ def difference_interval(
     if len({s.shape[1] for s in sets}) != 1:
         raise MufasaError(f"traces have {', '.join(str(s.shape[1]) for s in sets)} frames: cut all to the same window")
     rng = rng or np.random.default_rng(0)
-    pooled = _Pooled(np.concatenate(sets))
+    pooled = Pooled(np.concatenate(sets))
     nothing = [np.zeros(len(s)) for s in sets]
 
     def difference(weights: list[NDArray[np.float64]]) -> float:
