@@ -8,6 +8,7 @@ from qtpy.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLabel, QPushButto
 
 from napari_mufasa.widgets.fields import number_text
 from napari_mufasa.widgets.jobs import guarded
+from napari_mufasa.widgets.live import LiveLine
 from napari_mufasa.widgets.model_panel import ModelSource
 from napari_mufasa.widgets.panel import MovieChooser, Panel, Tabs, seed_row
 from napari_mufasa.widgets.plot import PlotCanvas
@@ -58,6 +59,11 @@ class ComparePanel(Panel):
         self.result.setWordWrap(True)
         self.result.hide()
         self.column.addWidget(self.result)
+        self.live_line = LiveLine(self.session)
+        self.live = PlotCanvas(self.viewer, "Measured signal and that of the model as it is being edited.", 230)
+        self.traces = PlotCanvas(self.viewer, "Measured and simulated traces appear here.", 230)
+        self.session.live.changed.connect(self._show_live)
+        self.column.addWidget(self.live_line)
         self.distances = PlotCanvas(self.viewer, "The distances appear here.", 260)
         self.curves = PlotCanvas(self.viewer, "The distributions appear here.", 230)
         self.which = QComboBox()
@@ -72,6 +78,8 @@ class ComparePanel(Panel):
         self.tabs = Tabs(320)
         self.tabs.addTab(self.distances, "Distances")
         self.tabs.addTab(page, "Distributions")
+        self.tabs.addTab(self.live, "Live")
+        self.tabs.addTab(self.traces, "Traces")
         self.column.addWidget(self.tabs, 1)
         self.use_button = QPushButton("Believe the fitted model")
         self.use_button.setToolTip("Take the fitted brightness, background and bleaching into the model")
@@ -98,6 +106,8 @@ class ComparePanel(Panel):
         self.start("Comparing", work, self._show)
 
     def _show(self, comparison: Comparison) -> None:
+        import pandas as pd
+
         self.comparison = comparison
         w1, interval = comparison.w1, comparison.w1_interval
         rows = []
@@ -116,24 +126,40 @@ class ComparePanel(Panel):
         self.result.show()
         self.use_button.setVisible(comparison.fit is not None)
         self.export_button.setEnabled(True)
-        self.distances.draw(lambda figure: _draw_distances(figure, w1))
+        self.distances.draw(lambda figure: _draw_distances(figure, w1), pd.DataFrame([w1]))
         self._show_curves()
+        best = "fitted" if comparison.fit is not None else "mufasa"
+        samples, name = comparison.samples, NAMES[best]
+        self._show_traces(samples["measured"].traces, samples[best].traces, name)
         self.session.set_result("comparison", comparison)
 
     def _show_curves(self, _index: int = 0) -> None:
+        import pandas as pd
+
         if self.comparison is None:
             return
         shown = self.comparison.distributions[self.which.currentData()]
+        data = pd.DataFrame({shown.x_label: shown.x, **shown.curves})
+        self.curves.draw(lambda figure: _draw_distribution(figure, shown), data)
 
-        def draw(figure: Any) -> Any:
-            import pandas as pd
+    def _show_live(self) -> None:
+        """The signal of measured traces and of the model now, with their distance."""
+        import pandas as pd
 
-            from napari_mufasa import plotting
+        distance = self.session.live.distance
+        if distance is None or self.session.live.busy:
+            return
+        shown = distance.distribution()
+        data = pd.DataFrame({shown.x_label: shown.x, **shown.curves})
+        w1 = {"mufasa": distance.w1}
+        self.live.draw(lambda figure: _draw_distribution(figure, shown, w1), data)
+        if self.comparison is None:
+            self._show_traces(distance.measured, distance.simulated, "this model")
 
-            plotting.distribution(figure.subplots(), shown)
-            return pd.DataFrame({shown.x_label: shown.x, **shown.curves})
-
-        self.curves.draw(draw)
+    def _show_traces(self, measured: Any, simulated: Any, name: str) -> None:
+        """A few measured traces on the left, as many of the model on the right."""
+        if len(measured) and len(simulated):
+            self.traces.draw(lambda figure: _draw_traces(figure, measured, simulated, name))
 
     def _use_fitted(self) -> None:
         if self.comparison is not None and self.comparison.fit is not None:
@@ -153,10 +179,19 @@ class ComparePanel(Panel):
             self.run_bar.say(f"Written: {path}")
 
 
-def _draw_distances(figure: Any, w1: dict[str, Any]) -> Any:
-    import pandas as pd
-
+def _draw_distances(figure: Any, w1: dict[str, Any]) -> None:
     from napari_mufasa import plotting
 
     plotting.w1_bars(figure.subplots(), w1)
-    return pd.DataFrame([w1])
+
+
+def _draw_distribution(figure: Any, shown: Any, w1: dict[str, Any] | None = None) -> None:
+    from napari_mufasa import plotting
+
+    plotting.distribution(figure.subplots(), shown, w1)
+
+
+def _draw_traces(figure: Any, measured: Any, simulated: Any, name: str) -> None:
+    from napari_mufasa import plotting
+
+    plotting.side_by_side(figure, measured, simulated, name)

@@ -180,6 +180,8 @@ class DiscoverPanel(Panel):
 
     def show_report(self, report: Report, places: Places | None = None) -> None:
         """Everything the panel shows follows from the report and the places."""
+        import pandas as pd
+
         self.report, self.places = report, places
         line, sentence = headline(report)
         self.verdict.setText(f"<b>{line}</b><br>{sentence}")
@@ -189,7 +191,7 @@ class DiscoverPanel(Panel):
         self.what.show_report(report)
         self.unseen.show_report(report)
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), bool(report.detectable))
-        self.history.draw(lambda figure: _draw_history(figure, report))
+        self.history.draw(lambda figure: _draw_history(figure, report), pd.DataFrame(report.history))
         self._enable()
         # What was found is what is believed from now on.
         self.session.set_model(report.model, f"fitted to {self._name}")
@@ -253,10 +255,7 @@ def _places(investigation: Any, report: Report, shape_px: Any, seed: int, cancel
     return find_places(investigation.measurement, model, shape_px, seed=seed, cancel=cancel)
 
 
-def _draw_history(figure: Any, report: Report) -> Any:
-    import pandas as pd
-
+def _draw_history(figure: Any, report: Report) -> None:
     from napari_mufasa import plotting
 
     plotting.staircase(figure.subplots(), report)
-    return pd.DataFrame(report.history)

@@ -23,6 +23,7 @@ from napari_mufasa.widgets.effects_list import EffectsList
 from napari_mufasa.widgets.fields import Form
 from napari_mufasa.widgets.jobs import Quiet, report_error
 from napari_mufasa.widgets.layers import slim
+from napari_mufasa.widgets.live import LiveLine
 from napari_mufasa.widgets.session import Session, model_in, session_of
 
 if TYPE_CHECKING:
@@ -195,12 +196,13 @@ class ModelPanel(QWidget):
         super().__init__()
         session = self.session = session_of(viewer)
         self.source = ModelSource(session)
-        self.derived = DerivedValues(session)
+        self.derived, self.live = DerivedValues(session), LiveLine(session)
         self.effects = EffectsList(session)
         self.parts = {part: PartEditor(session, part) for part in PARTS}
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
         layout.addWidget(self.source)
+        layout.addWidget(self.live)
         layout.addWidget(section("What follows", self.derived, True))
         layout.addWidget(section("Effects", self.effects, True))
         for part, editor in self.parts.items():

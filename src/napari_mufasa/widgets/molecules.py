@@ -138,6 +138,8 @@ class MoleculesPanel(Panel):
 
     def select(self, molecule: int) -> None:
         """Show the trace of one candidate."""
+        import pandas as pd
+
         if self.traces is None or not 0 <= molecule < len(self.traces.molecules):
             return
         self.shown = molecule
@@ -151,7 +153,8 @@ class MoleculesPanel(Panel):
             f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
         )
         trace, lit = self.traces.all_traces[molecule], self.traces.lit[molecule]
-        self.plot.draw(lambda figure: _draw_trace(figure, trace, lit, bleached), title)
+        data = pd.DataFrame({"frame": np.arange(len(trace)), "photoelectrons": trace, "on": lit})
+        self.plot.draw(lambda figure: _draw_trace(figure, trace, lit, bleached), data, title)
 
     def _select_point(self, layer: Points, index: int) -> None:
         """Points may come from an earlier run, or be fewer than at first: the layer's own table says which it is."""
@@ -237,17 +240,13 @@ def _colours(table: pd.DataFrame) -> list[str]:
     return [KEPT if kept else REJECTED for kept in table["kept"]]
 
 
-def _draw_trace(figure: Any, trace: Any, lit: Any, bleached: int) -> Any:
-    import pandas as pd
-
+def _draw_trace(figure: Any, trace: Any, lit: Any, bleached: int) -> None:
     from napari_mufasa import plotting
 
     axes = figure.subplots()
     plotting.trace(axes, trace)
-    frames = np.arange(len(trace))
     at_the_bottom = axes.get_xaxis_transform()
-    axes.fill_between(frames, 0, 0.025, where=lit, color=KEPT, linewidth=0, transform=at_the_bottom)
+    axes.fill_between(np.arange(len(trace)), 0, 0.025, where=lit, color=KEPT, linewidth=0, transform=at_the_bottom)
     if bleached >= 0:
         axes.axvline(bleached, color=REJECTED, linewidth=1, linestyle="--")
     axes.set_xlabel("frame (green: on; dashed: bleached)")
-    return pd.DataFrame({"frame": frames, "photoelectrons": trace, "on": lit})

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from napari.viewer import Viewer
 
     from napari_mufasa.model import Model
+    from napari_mufasa.widgets.live import LiveDistance
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,16 @@ class Session(QObject):
         self._dark: weakref.ref[Image] | None = None
         self.first_dark_frames = 0
         self.results: dict[str, Any] = {}
+        self._live: LiveDistance | None = None
+
+    @property
+    def live(self) -> LiveDistance:
+        """The distance of the model as it is being edited, for whoever shows it."""
+        from napari_mufasa.widgets.live import LiveDistance
+
+        if self._live is None:
+            self._live = LiveDistance(self)
+        return self._live
 
     @property
     def viewer(self) -> Viewer:

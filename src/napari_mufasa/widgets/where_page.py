@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from napari_mufasa.discover.result import Report
 
+COLUMNS = ("x", "measured", "before", "before_sd", "after", "after_sd")
+
 
 class WherePage(QWidget):
     """``chosen(observable)`` when the user chooses a row; `place` says in words where in the image it is."""
@@ -80,28 +82,26 @@ class WherePage(QWidget):
         self.chosen.emit(name)
 
     def _draw(self, name: str) -> None:
+        import pandas as pd
+
         assert self.report is not None
         observables, curve = self.report.observables, matching_curve(name, self.report.curves)
         row = observables[observables["observable"] == name]
         title = told(row.iloc[0], bool(self.report.chosen)) if len(row) else ""
-        self.curve.draw(
-            (lambda f: _draw_all(f, observables)) if curve is None else lambda f: _draw_curve(f, curve), title
-        )
+        if curve is None:  # a single number: it is shown among the others
+            self.curve.draw(lambda figure: _draw_all(figure, observables), observables, title)
+        else:
+            data = pd.DataFrame({column: getattr(curve, column) for column in COLUMNS})
+            self.curve.draw(lambda figure: _draw_curve(figure, curve), data, title)
 
 
-def _draw_all(figure: Any, observables: Any) -> Any:
-    """A single number: it is shown among the others."""
+def _draw_all(figure: Any, observables: Any) -> None:
     from napari_mufasa import plotting
 
     plotting.z_scores(figure.subplots(), observables)
-    return observables
 
 
-def _draw_curve(figure: Any, curve: Any) -> Any:
-    import pandas as pd
-
+def _draw_curve(figure: Any, curve: Any) -> None:
     from napari_mufasa import plotting
 
     plotting.curve(figure.subplots(), curve)
-    columns = ("x", "measured", "before", "before_sd", "after", "after_sd")
-    return pd.DataFrame({column: getattr(curve, column) for column in columns})

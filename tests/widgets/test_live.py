@@ -1,0 +1,110 @@
+"""Live distance: it follows the model, off the interface's thread, and an overtaken answer is never shown."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from napari_mufasa.widgets.latest import Latest
+from napari_mufasa.widgets.quick_distance import quick_distance
+from napari_mufasa.widgets.session import session_of
+
+
+@pytest.fixture
+def latest(viewer):
+    made = Latest(20)
+    yield made
+    made.drop()
+
+
+def test_only_the_newest_of_many_requests_is_worked_on(latest, qtbot):
+    worked, came = [], []
+    latest.arrived.connect(lambda outcome: came.append(outcome.value))
+    for i in range(30):
+        latest.request(lambda _cancel, i=i: worked.append(i) or i)
+    qtbot.waitUntil(lambda: not latest.busy, timeout=5000)
+    assert came == [29] and worked == [29]
+
+
+@pytest.mark.parametrize("polite", [True, False], ids=["work that looks at cancel", "work that does not"])
+def test_answer_overtaken_by_a_newer_request_is_never_shown(latest, qtbot, polite):
+    came, started, release = [], threading.Event(), threading.Event()
+    latest.arrived.connect(lambda outcome: came.append(outcome.value))
+
+    def slow(cancel):
+        started.set()
+        while not release.wait(0.01) and not (polite and cancel()):
+            pass
+        return "old"
+
+    latest.request(slow)
+    qtbot.waitUntil(started.is_set, timeout=5000)
+    latest.request(lambda _cancel: "new")
+    qtbot.wait(100)
+    release.set()
+    qtbot.waitUntil(lambda: not latest.busy, timeout=5000)
+    qtbot.wait(50)
+    assert came == ["new"]
+
+
+def test_error_of_the_work_arrives(latest, qtbot):
+    came = []
+    latest.arrived.connect(came.append)
+    latest.request(lambda _cancel: 1 / 0)
+    qtbot.waitUntil(lambda: bool(came), timeout=5000)
+    assert isinstance(came[0].error, ZeroDivisionError)
+
+
+def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot, run, bright_model, bright_movie):
+    from napari_mufasa.napari_io import movie_space
+    from napari_mufasa.widgets.layers import add_movie
+
+    viewer = make_napari_viewer(strict_qt="raise", show=True)
+    _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
+    session = session_of(viewer)
+    session.set_movie(add_movie(viewer, bright_movie.movie, "bright", movie_space(bright_model), bright_model))
+    session.set_model(bright_model, "test")
+    workflow.show_step(4)
+    model = workflow.step("Model")
+    assert "extract traces" in model.live.text()
+    workflow.show_step(3)
+    run(workflow.step("Molecules"))
+    workflow.show_step(4)
+    live = session.live
+    settle(live, qtbot)
+    true = live.distance
+    assert true.w1 < 3 * true.floor.high
+    power = model.parts["excitation"].form.editors["power_density_w_per_cm2"]
+    seen = []
+    for watts in ("22", "26", "34"):  # typed faster than anything can be worked out
+        power.setText(watts)
+        power.editingFinished.emit()
+    live.changed.connect(lambda: seen.append(live.distance.w1))
+    settle(live, qtbot)
+    assert session.model.excitation.power_density_w_per_cm2 == 34
+    assert live.distance.w1 == quick_distance(session.results["traces"], session.model).w1  # of the last value typed
+    assert live.distance.w1 > 1.5 * true.w1
+    assert f"{live.distance.w1:.2f}" in model.live.text()
+    assert set(seen) == {live.distance.w1}
+    # the Compare step shows the same, with the histograms on top of each other
+    workflow.show_step(5)
+    compare = workflow.step("Compare")
+    power.setText("20")
+    power.editingFinished.emit()
+    settle(live, qtbot)
+    assert live.distance.w1 == pytest.approx(true.w1)  # the same chance: only the model makes a difference
+    compare.tabs.setCurrentIndex(2)
+    assert f"{live.distance.w1:.2f}" in compare.live_line.text()
+    assert set(compare.live.data.columns) == {"photoelectrons per frame", "measured", "mufasa"}
+    assert np.allclose(compare.live.data["measured"].sum(), compare.live.data["mufasa"].sum(), rtol=0.05)
+    qtbot.waitUntil(lambda: not compare.live.busy and compare.live.picture.image is not None, timeout=20_000)
+
+
+def settle(live, qtbot):
+    end = time.monotonic() + 30
+    qtbot.waitUntil(lambda: not live.busy or time.monotonic() > end, timeout=31_000)
+    qtbot.wait(20)
+    assert not live.busy
