@@ -148,6 +148,8 @@ def traces(
     reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
     for reason, count in reasons.value_counts().head(6).items():
         typer.echo(f"  {count} × {reason}")
+    for note in found.notes:
+        typer.echo(f"note: {note} (--follow-drift)")
 
 
 def compare(

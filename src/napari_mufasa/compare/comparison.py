@@ -122,7 +122,7 @@ def compare_movie(
         sets["fitted"] = extract_simulated(again, options, cancel=cancel)
         steps.done()
     samples = {name: _sample(s) for name, s in {"measured": measured, **sets}.items()}
-    notes = tuple(
+    notes = measured.notes + tuple(
         f"{name}: no molecule was detected in the simulated movie" for name, s in sets.items() if not s.kept.any()
     )
     return _compare(samples, model, measured.units, seed, n_bootstrap, fitted, measured, notes)

@@ -60,15 +60,15 @@ def significance(
     drift_px: NDArray[np.float64] | None = None,
     report: Callable[[int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
-) -> tuple[Image, Image]:
-    """Evidence of a spot at each pixel, in noise sd, and the time mean in photoelectrons, each (y, x).
+) -> tuple[Image, Image, Image]:
+    """Evidence of a spot at each pixel, in noise sd, and the filtered images of the first and last fifth, each (y, x).
 
     `block` frames make a short block (None: at most `SHORT_BLOCKS` of them). `drift_px` (frame, 2) is undone.
     """
     shape = frames.shape[1:]
     block = block or max(1, -(-frames.n_frames // SHORT_BLOCKS))
-    total, total_mean = np.zeros(shape, np.float64), np.zeros(shape, np.float64)
-    steps = np.zeros(shape, np.float64)
+    total, steps = np.zeros(shape, np.float64), np.zeros(shape, np.float64)
+    early, late = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     shortest, middle = np.full(shape, -np.inf, np.float32), np.full(shape, -np.inf, np.float32)
     recent: list[Image] = []
     before: Image | None = None
@@ -82,9 +82,12 @@ def significance(
             for i in range(len(means)):
                 shift = drift_px[start + i * block : start + (i + 1) * block].mean(axis=0)
                 means[i] = ndimage.shift(means[i], -shift, order=1, mode="nearest")
-        total_mean += means.sum(axis=0, dtype=np.float64)
-        for image in spot_filter(means, sigma_px):
+        for i, image in enumerate(spot_filter(means, sigma_px)):
             total += image
+            if start + i * block < frames.n_frames / 5:
+                early += image
+            elif start + (i + 1) * block > frames.n_frames * 4 / 5:
+                late += image
             np.maximum(shortest, image, out=shortest)
             if before is not None:
                 steps += (image - before) ** 2
@@ -94,10 +97,9 @@ def significance(
                 np.maximum(middle, sum(recent) / np.float32(MIDDLE), out=middle)
             n_blocks += 1
     whole = (total / n_blocks).astype(np.float32)
-    mean_e = (total_mean / n_blocks).astype(np.float32)
     if n_blocks < 3:  # too short for differences in time: noise from the spread in space
         noise = np.full(shape, _lower_spread(whole), np.float32)
-        return (whole / np.maximum(noise, 1e-12)).astype(np.float32), mean_e
+        return (whole / np.maximum(noise, 1e-12)).astype(np.float32), early, late
     noise = np.sqrt(_smooth_floor(steps / (2 * (n_blocks - 1)))).astype(np.float32)
     noise *= border_noise((shape[0], shape[1]), sigma_px)
     # Static structure that is no molecule (uneven light, fixed pattern) limits the long average.
@@ -106,7 +108,7 @@ def significance(
     if n_blocks >= MIDDLE:
         scales.insert(1, (middle, noise / np.float32(np.sqrt(MIDDLE))))
     best = np.maximum.reduce([image / np.maximum(sd, 1e-12) for image, sd in scales])
-    return best.astype(np.float32), mean_e
+    return best.astype(np.float32), early, late
 
 
 def candidates(

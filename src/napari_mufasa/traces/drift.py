@@ -11,6 +11,7 @@ from napari_mufasa.traces.detect import spot_filter
 from napari_mufasa.traces.frames import Frames
 
 ANCHORS = 40  # times at which the shift is measured
+STILL_PX = 0.15  # apertures are moved on when the field has moved this far
 
 
 def common_motion(
@@ -46,3 +47,25 @@ def common_motion(
     t = np.arange(frames.n_frames)
     motion = np.stack([np.interp(t, times, moved[:, axis]) for axis in range(2)], axis=1)
     return np.asarray(motion - motion[0])
+
+
+def still_parts(motion: NDArray[np.float64] | None, start: int, stop: int) -> list[tuple[int, int]]:
+    """The frames `start` … `stop` − 1 as spans (first, last + 1) in which the field moves by less than `STILL_PX`."""
+    if motion is None:
+        return [(start, stop)]
+    bounds = [start]
+    for frame in range(start + 1, stop):
+        if np.abs(motion[frame] - motion[bounds[-1]]).max() > STILL_PX:
+            bounds.append(frame)
+    return list(zip(bounds, [*bounds[1:], stop], strict=True))
+
+
+def moved_px(early: NDArray[np.floating], late: NDArray[np.floating]) -> float:
+    """How far the spots of a filtered image (y, x) have moved in a later one, px; 0 where the two do not match."""
+    from scipy import ndimage
+    from skimage.registration import phase_cross_correlation
+
+    found = phase_cross_correlation(early, late, upsample_factor=10, normalization=None)  # type: ignore[no-untyped-call]
+    back = ndimage.shift(late, found[0], order=1, mode="nearest")
+    before, after = (np.corrcoef(early.ravel(), image.ravel())[0, 1] for image in (late, back))
+    return float(np.hypot(*found[0])) if after > max(0.3, before + 0.05) else 0.0

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from napari_mufasa.model import Camera
 
 
+MIN_SPOTS_FOR_DRIFT = 5
+DRIFT_PX = 0.7  # motion over the movie from which on the user is told
+
+
 @dataclass(frozen=True)
 class Options:
     """How molecules are found, measured and chosen. Every field is a keyword of `extract_traces`.
@@ -84,6 +88,7 @@ class TraceSet:
     lit : (candidate, frame) whether the idealised trace is on
     sigma_px : PSF width used; pixel_share : share of a molecule's light that the trace holds
     drift_px : (frame, 2) motion followed, or None; options : how it was made
+    notes : what the user should know, in sentences
     """
 
     traces: NDArray[np.float32]
@@ -98,6 +103,7 @@ class TraceSet:
     options: Options
     drift_px: NDArray[np.float64] | None = None
     units: str = "photoelectrons"
+    notes: tuple[str, ...] = ()
 
     @property
     def kept(self) -> NDArray[np.bool_]:
@@ -155,12 +161,19 @@ def extract_traces(
     sigma = options.psf_sigma_px or (detect.estimate_sigma_px(frames) or 1.3)
     motion = drift.common_motion(frames, sigma, report, cancel) if options.follow_drift else None
 
+    notes: list[str] = []
     if positions_px is None:
-        image, _ = detect.significance(
+        image, early, late = detect.significance(
             frames, sigma, block=options.time_block, drift_px=motion, report=report, cancel=cancel
         )
         found, strength, _ = detect.candidates(image, sigma, method=options.threshold, value=options.threshold_value)
         outstanding = detect.prominence(image, found, sigma)
+        moved = drift.moved_px(early, late) if motion is None and len(found) >= MIN_SPOTS_FOR_DRIFT else 0.0
+        if moved > DRIFT_PX:
+            notes.append(
+                f"the field moves by about {moved:.1f} px, so a molecule may count twice or leave its place: "
+                "follow the drift"
+            )
     else:
         found = check_positions(positions_px)
         strength = outstanding = np.full(len(found), np.nan)
@@ -186,6 +199,7 @@ def extract_traces(
         pixel_share=_share(options.profile, sigma),
         options=options,
         drift_px=motion,
+        notes=tuple(notes),
     )
 
 
@@ -206,18 +220,18 @@ def _measure(
     shape = frames.shape[1:]
     share = options.profile, options.subtract_background
     opening = profile.aperture(positions, shape, sigma, share[0], subtract_background=share[1])
-    lit_images = LitImages(opening)
+    lit_images = LitImages(opening.window.shape)
     traces = np.empty((len(positions), frames.n_frames), np.float32)
     background = np.empty_like(traces)
     variances, means = [], []
     for start, stack in frames.blocks(report=report, cancel=cancel):
-        span = slice(start, start + len(stack))
-        if motion is not None:
-            moved = positions + motion[span].mean(axis=0)
-            opening = profile.aperture(moved, shape, sigma, share[0], subtract_background=share[1])
-            lit_images.opening = opening
-        traces[:, span], background[:, span] = opening.traces(stack)
-        lit_images.add(stack, traces[:, span], background[:, span])
+        for first, last in drift.still_parts(motion, start, start + len(stack)):
+            if motion is not None:
+                moved = positions + motion[first:last].mean(axis=0)
+                opening = profile.aperture(moved, shape, sigma, share[0], subtract_background=share[1])
+            span, part = slice(first, last), stack[first - start : last - start]
+            traces[:, span], background[:, span] = opening.traces(part)
+            lit_images.add(opening, part, traces[:, span], background[:, span])
         means.append(float(stack.mean(dtype=np.float64)))
         if len(stack) > 1:
             variances.append(float(np.median(np.mean(np.diff(stack, axis=0) ** 2, axis=0))) / 2)

@@ -26,12 +26,15 @@ class LitImages:
     noise of the image is independent of its weight and does not draw the position towards the first guess.
     """
 
-    def __init__(self, opening: Aperture) -> None:
-        self.opening = opening
-        self.images = np.zeros(opening.window.shape)
-        self.weight = np.zeros(len(opening.window))
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.images = np.zeros(shape)
+        self.weight = np.zeros(shape[0])
+        self.offsets = np.zeros((*shape, 2))
+        self.inside = np.ones(shape, dtype=bool)
 
-    def add(self, stack: Stack, traces: NDArray[np.float32], backgrounds: NDArray[np.float32]) -> None:
+    def add(
+        self, opening: Aperture, stack: Stack, traces: NDArray[np.float32], backgrounds: NDArray[np.float32]
+    ) -> None:
         near = np.zeros_like(traces)
         if traces.shape[1] > 1:
             near[:, 1:] += traces[:, :-1]
@@ -42,8 +45,12 @@ class LitImages:
         near = np.maximum(near, 0.0)
         flat = stack.reshape(len(stack), -1)
         for t in range(len(stack)):
-            self.images += near[:, t, None] * (flat[t][self.opening.window] - backgrounds[:, t, None])
-        self.weight += near.sum(axis=1)
+            self.images += near[:, t, None] * (flat[t][opening.window] - backgrounds[:, t, None])
+        weight = near.sum(axis=1)
+        self.weight += weight
+        # Apertures that follow a drift lie differently on the pixels each time: the mean offset keeps the centroid.
+        self.offsets += weight[:, None, None] * opening.window_offset
+        self.inside &= opening.inside
 
     def measure(self, sigma_px: float, iterations: int = 12) -> Spots:
         """Position and width by moments under a Gaussian window of the PSF's width that follows the spot.
@@ -51,8 +58,9 @@ class LitImages:
         With window and spot of the same width the windowed centroid moves half way to the spot's centre, so
         twice the step converges at once; the windowed covariance C gives the spot's as (C⁻¹ − W⁻¹)⁻¹.
         """
-        image = self.images / np.maximum(self.weight, 1e-12)[:, None] * self.opening.inside
-        offset = self.opening.window_offset
+        total_weight = np.maximum(self.weight, 1e-12)
+        image = self.images / total_weight[:, None] * self.inside
+        offset = self.offsets / total_weight[:, None, None]
         shift = np.zeros((len(image), 2))
         limit = 1.5 * sigma_px
         for _ in range(iterations):
