@@ -9,19 +9,54 @@ import typer
 
 from napari_mufasa.cli import console
 from napari_mufasa.cli.making import ModelFile, Seed
-from napari_mufasa.cli.measuring import DarkFile, MovieFile, OutFolder
+from napari_mufasa.cli.measuring import (
+    DarkFile,
+    MovieFile,
+    OutFolder,
+    TraceBackground,
+    TraceProfile,
+    TraceUnit,
+    trace_table,
+    write_figures,
+)
+from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.discover.result import Report
+    from napari_mufasa.discover.traces_alone import TraceReport
 
 
-def diagnose(movie: MovieFile, model: ModelFile, out: OutFolder, dark: DarkFile = None, seed: Seed = 1) -> None:
+def diagnose(
+    movie: MovieFile,
+    model: ModelFile,
+    out: OutFolder,
+    dark: DarkFile = None,
+    seed: Seed = 1,
+    traces: Annotated[
+        bool, typer.Option("--traces", help="MOVIE is a table of traces instead: CSV, TIFF, HDF5 or .traces.")
+    ] = False,
+    unit: TraceUnit = None,
+    profile: TraceProfile = None,
+    with_background: TraceBackground = None,
+) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
     from napari_mufasa import discover, io
+    from napari_mufasa.discover import traces_alone
     from napari_mufasa.model import Model
 
     console.check_folder_out(out)
     believed = Model.from_json(model)
+    if traces:
+        if dark is not None:
+            raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
+        table = trace_table(movie, unit, profile, with_background)
+        with console.working("diagnosing") as work:
+            found = traces_alone.diagnose_traces(**table, model=believed, seed=seed, **work.both())
+        _finish_traces(out, found)
+        return
+    for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
+        if given is not None:
+            raise MufasaError(f"{name} belongs to a table of traces; add --traces if this is one")
     recorded, background = io.load(movie), None if dark is None else io.load(dark)
     with console.working("diagnosing") as work:
         report = discover.diagnose(recorded, believed, background, seed=seed, **work.both())
@@ -55,6 +90,46 @@ def _effect(model: Any, text: str) -> Any:
     """A kind alone leaves every value to the fit; with values it starts from them."""
     effect = console.effect_from_text(model, text)
     return effect if ":" in text else effect.kind
+
+
+def _finish_traces(out: Path, found: TraceReport) -> None:
+    from napari_mufasa import figures, io, plotting
+
+    shown = list(found.distributions().values())
+    drawings = [
+        figures.Drawing("distributions", "", (7.2, 7.2), lambda f: plotting.distributions(f, shown)),
+        figures.Drawing("traces", "", (7.2, 5.4), lambda f: plotting.contact_sheet(f, found.traces["measured"])),
+    ]
+    with console.folder(out) as folder:
+        io.write_json(folder / "report.json", found.as_dict())
+        found.model.to_json(folder / "model.json")
+        write_figures(folder, drawings)
+    error, w1 = found.error, found.w1
+    typer.echo(f"verdict: {found.verdict}" + (f" ({', then '.join(found.chosen)})" if found.chosen else ""))
+    console.print_table(
+        ("", "before", "after", "floor"),
+        [
+            ("error", error["before"], error["after"], error["floor"]),
+            (f"W1 ({w1['unit']})", w1["before"], w1["after"], w1["floor"]),
+        ],
+    )
+    for i, rows in enumerate(found.as_dict()["rounds"], 1):
+        typer.echo(f"round {i}: every effect added and fitted; error and W1 on molecules not used to fit")
+        console.print_table(
+            ("effect", "error", "W1", "W1 / floor", "p", "values", "as good"),
+            [
+                (row["effect"], row["error_after"], row["w1_after"], row["w1_after"] / w1["floor"], row["p_value"],
+                 _values(row["parameters"]), ", ".join(row["indistinguishable_from"]))
+                for row in rows
+            ],
+        )  # fmt: skip
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+    typer.echo(f"see {out / 'report.json'}")
+
+
+def _values(parameters: dict[str, Any]) -> str:
+    return " ".join(f"{n}={v:.3g}" if isinstance(v, float) else f"{n}={v}" for n, v in parameters.items())
 
 
 def _finish(out: Path, report: Report, movie: Path, recorded: Any, background: Any) -> None:

@@ -50,6 +50,18 @@ class ProfileName(StrEnum):
     brightest_pixel = "brightest_pixel"
 
 
+TraceUnit = Annotated[UnitName | None, typer.Option("--unit", help="Of the traces; default: as the file says.")]
+TraceProfile = Annotated[
+    ProfileName | None, typer.Option("--profile", help="What each trace holds; default: psf, TIFF: brightest_pixel")
+]
+TraceBackground = Annotated[
+    bool | None,
+    typer.Option(
+        "--with-background/--without-background", help="Is the background in the traces? Default: in a TIFF only."
+    ),
+]
+
+
 class TimesName(StrEnum):
     model = "model"
     tool = "tool"
@@ -143,7 +155,7 @@ def traces(
     ]
     with console.folder(out) as folder:
         trace_files.write_traces(folder, found, hdf5=hdf5)
-        _write_figures(folder, drawings)
+        write_figures(folder, drawings)
     typer.echo(f"{out}: {len(kept)} molecules kept of {len(found.molecules)} candidates")
     reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
     for reason, count in reasons.value_counts().head(6).items():
@@ -158,16 +170,9 @@ def compare(
     movie: Annotated[Path | None, typer.Argument(metavar="[MOVIE]", help="A movie, or --traces instead.")] = None,
     traces: Annotated[Path | None, typer.Option("--traces", metavar="FILE", help="CSV, TIFF, HDF5 or .traces.")] = None,
     dark: DarkFile = None,
-    unit: Annotated[UnitName | None, typer.Option("--unit", help="Of the traces; default: as the file says.")] = None,
-    profile: Annotated[
-        ProfileName | None, typer.Option("--profile", help="What each trace holds; default: psf, TIFF: brightest_pixel")
-    ] = None,
-    with_background: Annotated[
-        bool | None,
-        typer.Option(
-            "--with-background/--without-background", help="Is the background in the traces? Default: in a TIFF only."
-        ),
-    ] = None,
+    unit: TraceUnit = None,
+    profile: TraceProfile = None,
+    with_background: TraceBackground = None,
     window: Window = None,
     best: Best = None,
     max_steps: MaxSteps = None,
@@ -179,7 +184,7 @@ def compare(
 ) -> None:
     """Measure the distance W1 between measurement and model, with baselines and floor."""
     from napari_mufasa import compare as comparing
-    from napari_mufasa import figures, io, trace_files
+    from napari_mufasa import figures, io
     from napari_mufasa.model import Model
 
     if (movie is None) == (traces is None):
@@ -203,22 +208,32 @@ def compare(
             raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
         if max_steps is not None or follow_drift:
             raise MufasaError("--max-steps and --follow-drift choose molecules in a movie; give one, or drop them")
-        values, found_unit = trace_files.read_traces(traces or Path())
-        raw = found_unit == "adu" and (traces or Path()).suffix.lower() in (".tif", ".tiff")
+        table = trace_table(traces or Path(), unit, profile, with_background)
         with console.working("comparing") as work:
-            result = comparing.compare_traces(
-                values, believed, unit=unit.value if unit else found_unit,
-                profile=profile.value if profile else ("brightest_pixel" if raw else "psf"),
-                background_subtracted=not (raw if with_background is None else with_background),
-                **shared, **work.both(),
-            )  # fmt: skip
+            result = comparing.compare_traces(**table, model=believed, **shared, **work.both())
     with console.folder(out) as folder:
         io.write_json(folder / "report.json", result.report())
-        _write_figures(folder, figures.comparison_drawings(result))
+        write_figures(folder, figures.comparison_drawings(result))
     rows = [(name, value) for name, value in result.w1.items() if name != "unit"]
     console.print_table(("W1", str(result.w1["unit"])), rows)
     for note in result.notes:
         typer.echo(f"note: {note}")
+
+
+def trace_table(
+    path: Path, unit: UnitName | None, profile: ProfileName | None, with_background: bool | None
+) -> dict[str, Any]:
+    """The traces of a file and what they hold, as keywords; a TIFF in ADU holds brightest pixels with background."""
+    from napari_mufasa import trace_files
+
+    values, found_unit = trace_files.read_traces(path)
+    raw = found_unit == "adu" and path.suffix.lower() in (".tif", ".tiff")
+    return {
+        "traces": values,
+        "unit": unit.value if unit else found_unit,
+        "profile": profile.value if profile else ("brightest_pixel" if raw else "psf"),
+        "background_subtracted": not (raw if with_background is None else with_background),
+    }
 
 
 def calibrate(
@@ -272,7 +287,7 @@ def _measured(found: Value) -> str:
     return str(found) if math.isfinite(found.sd) else f"{found.value:.4g} (given)"
 
 
-def _write_figures(folder: Path, drawings: Sequence[Drawing]) -> None:
+def write_figures(folder: Path, drawings: Sequence[Drawing]) -> None:
     for drawing in drawings:
         (folder / f"{drawing.name}.png").write_bytes(drawing.render("light"))
 

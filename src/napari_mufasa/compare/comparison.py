@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.compare.distributions import Distribution, Sample, distributions
-from napari_mufasa.compare.fit import Fit, fit_gain, fit_model, fit_raw_traces
+from napari_mufasa.compare.fit import Fit, background_level_e, fit_gain, fit_model, fit_raw_traces
 from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, extract_simulated
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
@@ -241,7 +241,7 @@ def _sample(traces: TraceSet) -> Sample:
 def _cut(
     values: NDArray[np.floating], model: Model, background_subtracted: bool, window: int | None, best: int | None
 ) -> Sample:
-    background = 0.0 if background_subtracted else _background_e(model)
+    background = 0.0 if background_subtracted else background_level_e(model)
     dyn = dynamics(values - background)
     if window is None and best is None:
         return Sample(values, dyn)
@@ -254,11 +254,6 @@ def _cut(
         values = values[np.argsort(-dyn.snr, kind="stable")[:best]]
         dyn = dynamics(values - background)
     return Sample(values, dyn)
-
-
-def _background_e(model: Model) -> float:
-    camera = model.camera
-    return camera.quantum_efficiency * model.optics.background_photons_per_px + camera.clock_induced_charge_e
 
 
 def _compare(

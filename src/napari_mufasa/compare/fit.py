@@ -86,7 +86,7 @@ def fit_raw_traces(
     remaining = float(np.mean(np.exp(-k * t)))
     for i in range(rounds + 2):
         made: NDArray[np.float64] = np.asarray(simulate(fitted), dtype=np.float64)
-        per_molecule = float(made.mean() - _background_e(fitted) * _mean_background(fitted)) / remaining
+        per_molecule = float(made.mean() - background_level_e(fitted) * _mean_background(fitted)) / remaining
         if per_molecule <= 0:
             fitted = _brightened(fitted, 2.0, values)
             continue
@@ -121,7 +121,8 @@ def _with_fading(model: Model, constant_e: float, fading_e: float, rate: float, 
     return model.with_effects(effect_from_data(effect))
 
 
-def _background_e(model: Model) -> float:
+def background_level_e(model: Model) -> float:
+    """Photoelectrons per pixel and frame that the model has without any molecule."""
     camera = model.camera
     return camera.quantum_efficiency * model.optics.background_photons_per_px + camera.clock_induced_charge_e
 
