@@ -178,9 +178,12 @@ class FarApart:
         """(molecule, frame) photons collected from each place."""
         scene, optics = acquisition.scene, acquisition.model.optics
         share = optics.collection_efficiency * optics.brightness_correction * scene.brightness
+        photons = acquisition.emission.astype(np.float32) * share[:, None].astype(np.float32)
+        place = np.rint(scene.positions_px[:, 1]).astype(int)
+        if np.array_equal(place, np.arange(len(self.positions_px))):
+            return photons
         light = np.zeros((len(self.positions_px), scene.n_frames), np.float32)
-        for photons, column in zip(acquisition.emission * share[:, None], scene.positions_px[:, 1], strict=True):
-            light[round(column)] += photons  # several emitters may share a pixel
+        np.add.at(light, place, photons)  # several emitters may share a pixel
         return light
 
     def _background(self, acquisition: Acquisition) -> NDArray[np.float32]:
