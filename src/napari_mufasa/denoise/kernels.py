@@ -26,8 +26,9 @@ OWN = 0.5
 OWN_CANDIDATES = 6
 PREDICTIONS = 3
 SPATIAL = OWN_CANDIDATES + 2 * PREDICTIONS
-#: Candidates per level and guide: {prediction, thresholded difference from it} x {everywhere, empty surrounding}.
-PER_GUIDE = 4
+#: Candidates per level and guide: {prediction} x {everywhere, empty surrounding, nearly empty surrounding} and
+#: {thresholded difference from it} x {everywhere, empty surrounding}.
+PER_GUIDE = 5
 ZERO, ONE, EIGHTH = np.float32(0.0), np.float32(1.0), np.float32(0.125)
 NARROW, WIDE = np.float32(1.0 / CLASS_NARROW), np.float32(1.0 / CLASS_WIDE)
 
@@ -219,15 +220,15 @@ def combine(d: Array, s: Array, bump: Array, narrow: Array, wide: Array, w: Arra
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def combine_guide(out: Array, d: Array, guide: Array, bump: Array, narrow: Array, w: Array) -> None:
+def combine_guide(out: Array, d: Array, guide: Array, bump: Array, narrow: Array, wide: Array, w: Array) -> None:
     """Add the weighted candidates of one guide; ``d`` are the details before `combine`."""
     bands, rows, cols = d.shape
-    w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
+    w0, w1, w2, w3, w4 = w[0], w[1], w[2], w[3], w[4]
     for r in range(rows):
         for c in range(cols):
             g = narrow[r, c]
-            direct = w0 + w1 * g
-            shrunk = bump[r, c] * (w2 + w3 * g)
+            direct = (w0 + w1 * g) + w2 * wide[r, c]
+            shrunk = bump[r, c] * (w3 + w4 * g)
             for o in range(bands):
                 v = guide[o, r, c]
                 out[o, r, c] += direct * v + shrunk * (d[o, r, c] - v)

@@ -140,7 +140,7 @@ class System:
 
 
 #: Candidates kept in the smaller models, as places in one level's spatial and one guide's candidates.
-CORE_SPATIAL, CORE_GUIDE = (0, 1, 3, 4), (0, 2)
+CORE_SPATIAL, CORE_GUIDE = (0, 1, 3, 4), (0, 3)
 TINY_SPATIAL, TINY_GUIDE = (0, 3), (0,)
 #: A model may have one weight for so many pixels.
 PIXELS_PER_WEIGHT = 25
@@ -262,7 +262,8 @@ class Bands:
             out += [prediction, prediction * self.narrow]
         for k, guide in enumerate(self.guides):
             bump = self.bump(k)
-            out += [guide, guide * self.narrow, (self.d - guide) * bump, (self.d - guide) * (bump * self.narrow)]
+            out += [guide, guide * self.narrow, guide * self.wide]
+            out += [(self.d - guide) * bump, (self.d - guide) * (bump * self.narrow)]
         return [np.asarray(c, self.d.dtype) for c in out]
 
     def terms(self, y: Array, v: Array) -> list[float]:
@@ -292,7 +293,7 @@ class Bands:
             out += sums(linear_terms(prediction, y, np.zeros_like(v), 0.0, bands), classes[:2])
         for k, guide in enumerate(self.guides):
             known = linear_terms(guide, y, np.zeros_like(v), 0.0, bands)
-            out += sums(known, classes[:2]) + sums(thresholded(k), classes[:2])
+            out += sums(known, classes) + sums(thresholded(k), classes[:2])
         return out
 
 
@@ -381,7 +382,7 @@ def apply(
         out = combine(bands.d, bands.s, bump, bands.narrow, bands.wide, w[:SPATIAL], bands.distance, bands.flat)
         for k, guide in enumerate(bands.guides):
             first = SPATIAL + PER_GUIDE * k
-            combine_guide(out, bands.d, guide, bands.bump(k), bands.narrow, w[first : first + PER_GUIDE])
+            combine_guide(out, bands.d, guide, bands.bump(k), bands.narrow, bands.wide, w[first : first + PER_GUIDE])
         kept.append((a.shape, out[: bands.n]))
         a = bands.s
     extra = weights[levels * per_level :]

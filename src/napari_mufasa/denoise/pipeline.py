@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Method = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
 #: Frames read, denoised and written together.
-BLOCK = 16
+BLOCK = 32
 #: Frames whose pooled risk sets the weights of a movie.
 SAMPLES = 16
 #: Frames that settle how far the second pass goes.
@@ -114,9 +114,9 @@ class _Frames:
         self.alpha = cam.multiplication_noise(camera) if self.multiplied else 1.0
         self.weights: Array | None = None
         self.way = 0.0
-        from .temporal import NEIGHBOURS, rings_for
+        from .temporal import NEIGHBOURS
 
-        self.rings = rings_for(NEIGHBOURS if method == "pure-let-movie" and shape[0] > 1 else 0)
+        self.neighbours = NEIGHBOURS if method == "pure-let-movie" and shape[0] > 1 else 0
 
     def read(self, start: int, stop: int) -> NDArray[np.float32]:
         """Recorded frames as photoelectrons."""
@@ -140,8 +140,8 @@ class _Frames:
         """Weights of least pooled risk over frames spread evenly through the movie."""
         if self.method in ("source", "none"):
             return
-        from .purelet import LEVELS, risk_systems
-        from .temporal import chosen_weights, guides_of, sample_frames, sample_windows
+        from .purelet import LEVELS
+        from .temporal import chosen_weights, sample_frames, sample_systems, sample_windows
 
         parts = []
         chosen = sample_frames(self.shape[0], SAMPLES)
@@ -149,10 +149,9 @@ class _Frames:
             _stop_if(cancel)
             first, last = self.reach(t, t + 1)
             data = self.read(first, last)
-            guides, relative = guides_of(data, t - first, self.rings)
             tiles = sample_windows(self.shape[1:], number, len(chosen))
-            frame = data[t - first]
-            parts += risk_systems(frame, self.noise(frame), LEVELS, False, tiles, guides, relative)
+            noise = self.noise(data[t - first])
+            parts += sample_systems(data, t - first, noise, self.neighbours, LEVELS, tiles)
         self.weights = chosen_weights(parts)
         if self.method == "pure-let-patches" and self.weights is not None:
             self.way = float(np.mean([self._way(t, cancel) for t in sample_frames(self.shape[0], PATCH_SAMPLES)]))
@@ -172,8 +171,7 @@ class _Frames:
 
     def reach(self, start: int, stop: int) -> tuple[int, int]:
         """The block with the neighbours that its frames look at."""
-        far = max((k for ring in self.rings for k in ring), default=0)
-        return max(0, start - far), min(self.shape[0], stop + far)
+        return max(0, start - self.neighbours), min(self.shape[0], stop + self.neighbours)
 
     def block(self, start: int, stop: int) -> NDArray[np.float32]:
         """Denoised photoelectrons of frames start … stop - 1."""
@@ -183,21 +181,26 @@ class _Frames:
             return source_recipe(np.asarray(self.movie[start:stop]), self.camera)
         from . import patches
         from .purelet import LEVELS
-        from .temporal import apply_frame
+        from .temporal import apply_frame, guided
 
         first, last = self.reach(start, stop)
         data = self.read(first, last)
         out = np.empty((stop - start, *self.shape[1:]), np.float32)
 
-        def one(t: int) -> None:
-            frame = data[t - first]
-            noise = self.noise(frame)
-            result = apply_frame(data, t - first, noise, self.rings, LEVELS, self.weights)
-            out[t - start] = patches.towards(frame, result, noise, self.way) if self.way > 0 else result
+        def one(t: int, guides: Any) -> None:
+            noise = self.noise(data[t])
+            result = apply_frame(data[t], noise, LEVELS, self.weights, guides)
+            out[t + first - start] = patches.towards(data[t], result, noise, self.way) if self.way > 0 else result
 
+        typical = self.noise(data[(start + stop) // 2 - first])
         # The kernels release the interpreter: threads share the block's frames.
         with ThreadPoolExecutor(max_workers=min(WORKERS, stop - start)) as pool:
-            list(pool.map(one, range(start, stop)))
+            work = [
+                pool.submit(one, t, guides)
+                for t, guides in guided(data, start - first, stop - first, typical, self.neighbours)
+            ]
+            for done in work:
+                done.result()
         return out
 
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import let
-from .purelet import LEVELS, checked, depth_for, estimate, risk_systems, same_mean, windows
+from .purelet import LEVELS, checked, depth_for, estimate, same_mean, windows
+from .still import past_and_future
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -19,36 +20,26 @@ if TYPE_CHECKING:
 #: Windows that settle the weights of a movie; taken with a stride that visits all of a frame's windows.
 ENOUGH_WINDOWS = 16
 STRIDE = 7
-NEIGHBOURS = 5
+#: Frames on either side that count at most.
+NEIGHBOURS = 24
+Guides = tuple[list["Array"], "NDArray[np.float32]"]
+NO_GUIDES: Guides = ([], np.zeros(0, np.float32))
 
 
-def rings_for(neighbours: int) -> tuple[tuple[int, ...], ...]:
-    """Distances in frames of each guide: the adjacent frames alone, the farther ones averaged."""
-    if neighbours <= 0:
-        return ()
-    if neighbours == 1:
-        return ((1,),)
-    return ((1,), tuple(range(2, neighbours + 1)))
+def guided(data: Array, first: int, stop: int, noise: let.Noise, neighbours: int) -> Iterator[tuple[int, Guides]]:
+    """The guides of the frames first … stop - 1, and their variance relative to one frame's.
 
-
-def guides_of(movie: Array, t: int, rings: Sequence[Sequence[int]]) -> tuple[list[Array], NDArray[np.float32]]:
-    """Mean of the existing frames of every ring around frame ``t`` and the variance relative to one frame's.
-
-    At the ends of a movie a ring reaches only one way; a ring with no frame at all repeats the nearest neighbours.
+    One guide is the mean of the adjacent frames, the other the past and future as far as the scene stood still.
     """
-    n = movie.shape[0]
-    guides: list[Array] = []
-    noise: list[float] = []
-    for ring in rings:
-        frames = [t + sign * k for k in ring for sign in (-1, 1) if 0 <= t + sign * k < n]
-        if not frames:
-            frames = [k for k in (t - 1, t + 1) if 0 <= k < n]
-        mean = movie[frames[0]].astype(np.float32)
-        for k in frames[1:]:
-            mean += movie[k]
-        guides.append(mean / np.float32(len(frames)))
-        noise.append(1.0 / len(frames))
-    return guides, np.asarray(noise, np.float32)
+    n = data.shape[0]
+    if neighbours <= 0 or n < 2:
+        for t in range(first, stop):
+            yield t, NO_GUIDES
+        return
+    for t, still, relative in past_and_future(data, first, stop, noise, neighbours):
+        beside = [data[k] for k in (t - 1, t + 1) if 0 <= k < n]
+        mean = beside[0] if len(beside) == 1 else np.float32(0.5) * (beside[0] + beside[1])
+        yield t, ([mean, still], np.array([1.0 / len(beside), relative], np.float32))
 
 
 def pure_let_movie(
@@ -73,7 +64,7 @@ def pure_let_movie(
     alpha, sigma, offset, multiplied, levels
         As for `pure_let`; ``sigma`` may be a (y, x) map.
     neighbours : int
-        Frames used on either side; 0 treats every frame alone.
+        Frames used on either side at most; 0 treats every frame alone.
     samples : int
         Number of frames, spread over the movie, whose pooled risk estimate sets the weights.
 
@@ -83,25 +74,39 @@ def pure_let_movie(
     """
     data, variance = checked(movie, alpha, sigma, offset, dimensions=(3,))
     noise = let.Noise(float(alpha), np.broadcast_to(variance, data.shape[1:]), multiplied)
-    rings = rings_for(neighbours if data.shape[0] > 1 else 0)
-    weights = movie_weights(data, noise, rings, levels, samples)
+    weights = movie_weights(data, noise, neighbours, levels, samples)
     out = np.empty_like(data)
-    for t in range(data.shape[0]):
-        out[t] = apply_frame(data, t, noise, rings, levels, weights)
+    for t, guides in guided(data, 0, data.shape[0], noise, neighbours):
+        out[t] = apply_frame(data[t], noise, levels, weights, guides)
     return out
 
 
 def movie_weights(
-    data: Array, noise: let.Noise, rings: Sequence[Sequence[int]], levels: int, samples: int
+    data: Array, noise: let.Noise, neighbours: int, levels: int, samples: int
 ) -> NDArray[np.float64] | None:
     """Weights of least pooled risk over ``samples`` frames; None where the data cannot be improved."""
     parts: list[let.System] = []
     chosen = sample_frames(data.shape[0], samples)
     for number, t in enumerate(chosen):
-        guides, relative = guides_of(data, t, rings)
         tiles = sample_windows(data.shape[1:], number, len(chosen))
-        parts += risk_systems(data[t], noise, levels, False, tiles, guides, relative)
+        first = max(0, t - neighbours)
+        parts += sample_systems(data[first : t + neighbours + 1], t - first, noise, neighbours, levels, tiles)
     return chosen_weights(parts)
+
+
+def sample_systems(
+    data: Array, t: int, noise: let.Noise, neighbours: int, levels: int, tiles: list[tuple[slice, slice]]
+) -> list[let.System]:
+    """The risk system of each window of frame ``t`` of ``data``, which holds what its guides are made of."""
+    depth = depth_for(data.shape[1:], levels, False)
+    if depth == 0 or (noise.alpha == 0 and not np.any(noise.variance)):
+        return []
+    parts = []
+    for tile in tiles:
+        part, inside = np.ascontiguousarray(data[(slice(None), *tile)]), noise.within(tile)
+        for _, (guides, relative) in guided(part, t, t + 1, inside, neighbours):
+            parts.append(let.expand(part[t], inside, depth, False, guides, relative)[0])
+    return parts
 
 
 def sample_frames(n_frames: int, samples: int) -> list[int]:
@@ -125,15 +130,13 @@ def chosen_weights(parts: list[let.System]) -> NDArray[np.float64] | None:
 
 
 def apply_frame(
-    data: Array, t: int, noise: let.Noise, rings: Sequence[Sequence[int]], levels: int, weights: Array | None
+    frame: Array, noise: let.Noise, levels: int, weights: Array | None, guides: Guides = NO_GUIDES
 ) -> NDArray[np.float32]:
     """One frame with given weights."""
-    frame: NDArray[np.float32] = data[t]
     if weights is None:
-        return frame
-    guides, relative = guides_of(data, t, rings)
+        return np.asarray(frame, np.float32)
     depth = depth_for(frame.shape, levels, False)
-    return same_mean(let.apply(frame, noise, depth, False, guides, relative, weights), frame)
+    return same_mean(let.apply(frame, noise, depth, False, *guides, weights), frame)
 
 
 def pure_let_traces(
