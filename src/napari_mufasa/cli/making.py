@@ -111,12 +111,18 @@ def _write_truth(directory: Path, acquisition: Acquisition) -> None:
 
 def presets(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Which one to print as model.json.")] = None,
+    effects: Annotated[
+        bool, typer.Option("--effects", help="List the effects instead, also of other packages.")
+    ] = False,
 ) -> None:
-    """Print a preset as model.json, or list them."""
+    """Print a preset as model.json, or list them, or list the effects."""
     import json
 
     from napari_mufasa.presets import PRESETS, preset
 
+    if effects:
+        _print_effects()
+        return
     if name is not None:
         typer.echo(json.dumps(preset(name).to_dict(), indent=1))
         return
@@ -127,6 +133,19 @@ def presets(
         frames = f"{timing.n_frames} × {1000 * timing.frame_length_s:g} ms"
         rows.append((each, model.protocol, model.camera.type, frames, f"{timing.shape_px[0]} × {timing.shape_px[1]}"))
     console.print_table(("preset", "protocol", "camera", "frames", "pixels"), rows)
+
+
+def _print_effects() -> None:
+    from napari_mufasa.effects import catalogue
+
+    rows = []
+    for kind, effect in catalogue().items():
+        values = {name: field.default for name, field in effect.model_fields.items()}
+        shown = ",".join(
+            f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}" for name, value in values.items()
+        )
+        rows.append((kind, effect.stage, shown))
+    console.print_table(("effect", "stage", "NAME=VALUE (defaults)"), rows)
 
 
 def design(

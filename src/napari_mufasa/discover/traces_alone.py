@@ -345,7 +345,8 @@ class _Bench:
         error, new = self.judge(fitted)
         gains = self._gains(made, new)
         parameters = next(e for e in reversed(fitted.effects) if e.kind == kind).model_dump()
-        parameters.pop("kind", None)
+        form = {"form": parameters["form"]} if "form" in parameters else {}
+        parameters = {n: v for n, v in parameters.items() if n != "kind" and not _unused(kind, n, form)}
         p_value = float((1 + np.count_nonzero(gains <= 0)) / (1 + len(gains)))
         spread = float(gains.std())
         if p_value < 0.05 and spread > 0:  # beyond what resampling can count, by the normal tail
