@@ -58,6 +58,7 @@ def test_the_effect_is_listed_after_the_built_in_ones(run):
     assert "missing=0.5" in lines[-1]
 
 
+@pytest.mark.slow
 def test_simulated_saved_and_fitted_by_the_command_line(run, tmp_path):
     model = generator.base_model("emccd") | {"sample": {"n_molecules": 12, "min_distance_px": 9}}
     model["acquisition"] |= {"n_frames": 80, "shape_px": [48, 48]}
