@@ -1,8 +1,8 @@
 """Fit one effect by direct simulation: the emulator proposes, the simulator disposes.
 
-A ladder of strengths finds the right decade. Around it a handful of paired simulations give the local mean and
-slopes; free values of model and effect move together, again while they still move far; then fresh simulations
-at the end point judge it.
+A few shapes are tried, then a ladder of strengths finds the right decade. Around it a handful of paired simulations
+give the local mean and slopes; free values of model and effect move together, again while they still move far; then
+fresh simulations at the end point judge it.
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, State, changed, scaled
+from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, Ray, State, changed, scaled
+from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.effects import Effect
 from napari_mufasa.model import Model
 
 Array = NDArray[np.float64]
 LADDER = 2.2  # factor between the strengths tried first
+SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
 ROUND_SIMULATIONS = 9
 WIDE, NARROW = 0.45, 0.2  # spread of the parameters in a round (log units or quarters of the range)
 MOST_ROUNDS = 4
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
+SETTLING_SIMULATIONS = 20  # further simulations of an effect that enters the model
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
 
@@ -69,7 +72,7 @@ class Fit:
 
 
 def planned_simulations() -> int:
-    return 3 + 2 * ROUND_SIMULATIONS + CHECK_SIMULATIONS
+    return 6 + 2 * ROUND_SIMULATIONS + CHECK_SIMULATIONS
 
 
 def refine(library: Library, state: State, start: Effect, x: Array) -> Fit:
@@ -80,7 +83,7 @@ def refine(library: Library, state: State, start: Effect, x: Array) -> Fit:
     n = len(coordinates)
     local = replace(
         state,
-        model=state.model.with_effects(_climbed(library, state, start, x)),
+        model=state.model.with_effects(_climbed(library, state, _best_shape(library, state, start, coordinates, x), x)),
         free=(*state.free, *(f"{start.kind}.{c.name}" for c in coordinates)),
     )
     width = WIDE
@@ -93,6 +96,24 @@ def refine(library: Library, state: State, start: Effect, x: Array) -> Fit:
         far = turn + 2 < MOST_ROUNDS and n > 0 and np.abs(moves[-n:]).max() > 1.5 * width
         width = WIDE if far else NARROW
     return judge(library, local, x, n)
+
+
+def _best_shape(library: Library, state: State, start: Effect, coordinates: list[Coordinate], x: Array) -> Effect:
+    """`start` with the shape that explains most, of a few across the plausible range of each shape parameter."""
+    trials = [start]
+    plausible = type(start).plausible(state.model)
+    for name in (c.name for c in coordinates if c.name != start.strength):
+        low, high, log = plausible[name]
+        for u in SHAPES:
+            value = low * (high / low) ** u if log else low + (high - low) * u
+            trials.append(changed(start, {name: value}))
+    if len(trials) == 1:
+        return start
+    rows = library.bench.rows([(state.model.with_effects(trial), k) for k, trial in enumerate(trials)])
+    shift = rows - library.rows[: len(trials)]
+    reached = state.mean - library.base.mean  # by the effects that are in the model already
+    rays = [Ray(trial, change - reached) for trial, change in zip(trials, shift, strict=True)]
+    return state.screen(x, {start.kind: rays})[start.kind][0].start()
 
 
 def _climbed(library: Library, state: State, start: Effect, x: Array) -> Effect:
@@ -143,31 +164,66 @@ def moved(model: Model, values: list[nuisance.Nuisance], free: tuple[str, ...], 
     return model.model_copy(update={"effects": tuple(effects.values())})
 
 
-def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
-    """Fresh simulations of the fitted model: its mean, its spread, its score."""
-    effect = local.model.effects[-1]
-    rows = library.bench.rows([(local.model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
+def judge(library: Library, local: State, x: Array, n_effect: int, more: int = 0) -> Fit:
+    """Fresh simulations of the fitted model (`CHECK_SIMULATIONS` and `more`): its mean, its spread, its score."""
+    bench, base = library.bench, library.base
+    numbers = [CHECK_SEED + k for k in range(CHECK_SIMULATIONS)] + list(range(more))
+    rows = bench.rows([(local.model, number) for number in numbers])
     # Paired with the base model's simulations of the same seeds: the mean is as precise as the base's.
-    mean = library.base.mean + (rows - library.base.check).mean(axis=0)
-    wild = rows - rows.mean(axis=0)
-    variance = (PRIOR_SIMULATIONS * library.base.spread**2 + (wild**2).sum(axis=0)) / (
-        PRIOR_SIMULATIONS + len(rows) - 1
-    )
-    spread = np.maximum(np.sqrt(variance), local.least_spread)
-    prior = np.concatenate([local.prior[: len(local.prior) - n_effect], np.full(n_effect, 0.3)])
-    state = replace(local, mean=mean, spread=spread, check=rows, prior=prior)
-    slope = state.whiten[0] @ (state.slopes[0] / spread[0][:, None])
-    loose = np.concatenate([local.prior[: len(local.prior) - n_effect], np.full(n_effect, 3.0)])
-    covariance = np.linalg.inv(slope.T @ slope + np.diag(1 / loose**2))
+    change = rows - np.concatenate([base.check, library.rows[:more]])
+    n = len(local.prior) - n_effect
+    local = replace(local, prior=np.concatenate([local.prior[:n], np.full(n_effect, 0.3)]), check=rows)
+    everyone = np.ones(len(rows), dtype=bool)
+    state = _of_simulations(library, local, rows, change, everyone, pooled=more > 0)
+    errors = []
+    for i in range(len(rows)):
+        others = everyone.copy()
+        others[i] = False
+        errors.append(_of_simulations(library, state, rows, change, others, pooled=more > 0).held_out_error(rows[i]))
+    state = replace(state, floor=float(np.median(errors)))
+    effect = moved(state.model, library.nuisances, state.free, state.profiled(x).moves).effects[-1]
     misfit = state.misfit(x)
-    excess = max(1.0, misfit / len(library.bench.names))
-    sd = np.sqrt(np.diag(covariance)[len(loose) - n_effect :] * excess)
+    return Fit(state, effect, _uncertainty(state, n_effect, misfit, effect), state.score(x), misfit)
+
+
+def settle(library: Library, found: Fit, x: Array) -> Fit:
+    """The fit judged again by more simulations, as suits one that enters the model."""
+    n_effect = sum(path.startswith(f"{found.effect.kind}.") for path in found.state.free)
+    return judge(library, found.state, x, n_effect, more=SETTLING_SIMULATIONS)
+
+
+def _of_simulations(
+    library: Library, local: State, rows: Array, change: Array, use: NDArray[np.bool_], pooled: bool = False
+) -> State:
+    """The state with mean and spread of these of its simulations; pooled: also the correlation, with the base's."""
+    base = library.base
+    wild = rows[use] - rows[use].mean(axis=0)
+    freedom = PRIOR_SIMULATIONS + len(wild) - 1
+    variance = (PRIOR_SIMULATIONS * base.spread**2 + (wild**2).sum(axis=0)) / freedom
+    spread = np.maximum(np.sqrt(variance), local.least_spread)
+    whiten = local.whiten
+    if pooled:
+        scores = np.concatenate([(library.rows - base.mean) / base.spread, wild / spread])
+        whiten = np.stack([whitener(shrunk_correlation(scores[:, p])) for p in range(rows.shape[1])])
+    return replace(local, mean=base.mean + change[use].mean(axis=0), spread=spread, whiten=whiten)
+
+
+def _uncertainty(state: State, n_effect: int, misfit: float, effect: Effect) -> dict[str, float]:
+    """Standard deviations of the effect's parameters: noise of the measurement and of the simulations."""
+    n = len(state.prior) - n_effect
+    slope = state.whiten[0] @ (state.slopes[0] / state.spread[0][:, None])
+    loose = np.concatenate([state.prior[:n], np.full(n_effect, 3.0)])
+    covariance = np.linalg.inv(slope.T @ slope + np.diag(1 / loose**2))
+    excess = max(1.0, misfit / state.mean.shape[1])
     named = {}
-    for path, s in zip(local.free[len(loose) - n_effect :], sd, strict=True):
-        coordinate = next(c for c in Coordinate.of(effect, local.model) if f"{effect.kind}.{c.name}" == path)
-        by_noise, by_simulation = coordinate.sd(effect, float(s)), FINITE * abs(float(getattr(effect, coordinate.name)))
+    for path, sd in zip(state.free[n:], np.sqrt(np.diag(covariance)[n:] * excess), strict=True):
+        coordinate = next(c for c in Coordinate.of(effect, state.model) if f"{effect.kind}.{c.name}" == path)
+        by_noise, by_simulation = (
+            coordinate.sd(effect, float(sd)),
+            FINITE * abs(float(getattr(effect, coordinate.name))),
+        )
         named[coordinate.name] = float(np.hypot(by_noise, by_simulation))
-    return Fit(state, effect, named, state.score(x), misfit)
+    return named
 
 
 def _design(n: int, dimensions: int, width: float, rng: np.random.Generator) -> Array:

@@ -29,9 +29,14 @@ from napari_mufasa.streams import Streams
 
 Array = NDArray[np.float64]
 SECOND = 0.01  # chance level that every further effect must pass …
-SECOND_SHARE = 0.02  # … with at least this share of the evidence of those before it
-FINALISTS = 5  # leads that are fitted by direct simulation
+SECOND_SHARE = 0.03  # … with at least this share of the evidence of those before it
+FINALISTS, LATER_FINALISTS = (
+    5,
+    3,
+)  # leads that are fitted by direct simulation, for the first effect and for further ones
+PROMISING = 0.5  # a lead or form is worth a fit from this share of the evidence that is needed or already had
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
+CONTESTED = 0.6  # effects with this share of the best evidence are contested: each may show its best form
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
@@ -83,6 +88,8 @@ class Investigation:
         self.fits: list[Fit] = []
         self.ranking: list[Candidate] = []
         self._tried: dict[str, Fit] = {}
+        self._formed: set[str] = set()  # of those, the ones tried in all promising forms
+        self._alone: dict[str, Fit] = {}  # effects fitted into the base model
 
     # What is known ------------------------------------------------------------------------------------------
 
@@ -113,6 +120,12 @@ class Investigation:
         return [f.effect.kind for f in self.fits]
 
     @property
+    def model(self) -> Model:
+        """The model as it stands, its free values at their best."""
+        state = self.state
+        return fit.moved(state.model, self.library.nuisances, state.free, state.profiled(self.x).moves)
+
+    @property
     def explained(self) -> float:
         """Evidence of the effects in the model, together."""
         return self.library.base.score(self.x) - self.state.score(self.x)
@@ -131,32 +144,41 @@ class Investigation:
         rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in self.chosen}
         return {kind: forms[0] for kind, forms in self.state.screen(self.x, rays).items()}
 
-    def alarmed(self) -> bool:
-        """Is the model inadequate beyond chance?"""
-        lead = max((lead.gain for lead in self.leads().values()), default=0.0)
-        if self.fits:
-            return self.null.p_evidence(lead) < SECOND
-        return self.null.p_evidence(lead) < ALARM or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
-
-    def convincing(self, best: Candidate) -> bool:
-        """Does adding it lower the held-out error, with evidence beyond chance?"""
-        before = self.state.held_out_error(self.x)
-        if best.error_after is None or best.error_after >= before:
-            return False
-        if not self.chosen:
-            return best.p_value < ALARM
+    def needed(self) -> float:
+        """The evidence that the next effect must bring."""
+        if not self.fits:
+            return self.null.evidence_at(ALARM)
         # What the first effects leave is also the error of their own form: a further effect must stand out from
         # it, more so where the held-out error is at its floor already.
-        at_the_floor = before <= AT_FLOOR * self.state.floor()
-        needed = SECOND_SHARE * self.explained * (3.0 if at_the_floor else 1.0)
-        return best.evidence > needed and best.p_value < (SECOND**2 if at_the_floor else SECOND)
+        at_the_floor = self.state.held_out_error(self.x) <= AT_FLOOR * self.state.floor
+        beyond_form = SECOND_SHARE * self.explained * (3.0 if at_the_floor else 1.0)
+        return max(beyond_form, self.null.evidence_at(SECOND**2 if at_the_floor else SECOND))
+
+    def alarmed(self) -> bool:
+        """Is the model inadequate beyond chance, or a further effect worth a fit?"""
+        lead = max((lead.gain for lead in self.leads().values()), default=0.0)
+        if self.fits:
+            return lead > PROMISING * self.needed()
+        return lead > self.needed() or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
+
+    def convincing(self, best: Candidate) -> bool:
+        """Does adding it lower the held-out error, with the evidence that is needed?"""
+        before = self.state.held_out_error(self.x)
+        return best.error_after is not None and best.error_after < before and best.evidence > self.needed()
 
     def rank(self) -> list[Candidate]:
         """What is missing: the leads, the best of them fitted by direct simulation, best first."""
         leads = dict(sorted(self.leads().items(), key=lambda item: -item[1].gain))
-        finalists = _finalists(leads)
+        finalists = self._finalists(leads)
         self.bench.plan(len(finalists) * fit.planned_simulations())
         self._tried = {kind: fit.refine(self.library, self.state, leads[kind].start(), self.x) for kind in finalists}
+        least = CONTESTED * max(self.state.score(self.x) - found.score for found in self._tried.values())
+        contested = [k for k, found in self._tried.items() if self.state.score(self.x) - found.score > least]
+        if len(contested) > 1:
+            self._tried |= {kind: self._best_form(self._tried[kind]) for kind in contested}
+            self._formed = set(contested)
+        if not self.fits:
+            self._alone = dict(self._tried)
         fitted = sorted(self._tried.items(), key=lambda item: item[1].score)
         self.ranking = []
         for kind, found in fitted:
@@ -178,13 +200,14 @@ class Investigation:
             found = fit.refine(self.library, self.state, what, self.x)
         else:
             found = self._tried.get(kind) or fit.refine(self.library, self.state, self._start(kind), self.x)
-            found = self._best_form(found)
+            found = found if kind in self._formed else self._best_form(found)
+        found = fit.settle(self.library, found, self.x)
         near = {c.effect: c.indistinguishable_from for c in self.ranking}.get(kind, ())
         others = [c for c in self.ranking if c.effect != kind]
         place = next((i for i, c in enumerate(self.ranking) if c.effect == kind), len(others))
         self.ranking = [*others[:place], self._candidate(found, near), *others[place:]]
         self.fits.append(found)
-        self._tried = {}
+        self._tried, self._formed = {}, set()
 
     def _best_form(self, found: Fit) -> Fit:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""
@@ -192,28 +215,53 @@ class Investigation:
             return found
         rays = {found.effect.kind: self.library.rays[found.effect.kind]}
         leads = self.state.screen(self.x, rays)[found.effect.kind]
-        others = [lead.start() for lead in leads if lead.ray.effect.form_name != found.effect.form_name]
+        worth = PROMISING * leads[0].gain
+        others = [e.start() for e in leads if e.gain > worth and e.ray.effect.form_name != found.effect.form_name]
         self.bench.plan(len(others) * fit.planned_simulations())
         tries = [fit.refine(self.library, self.state, other, self.x) for other in others]
         return min([found, *tries], key=lambda f: f.score)
+
+    def simplify(self) -> None:
+        """Take the first of two effects out again where the second one alone explains as much: a greedy first
+        pick can be wrong."""
+        if len(self.fits) != 2 or (alone := self._alone.get(self.chosen[1])) is None:
+            return
+        bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence_at(SECOND))
+        if alone.score < bar + self.null.evidence_at(SECOND):
+            alone = fit.settle(self.library, alone, self.x)
+            if alone.score < bar:
+                self.fits = []
+                self._rank_first(self._candidate(alone, ()))
+                self.fits = [alone]
 
     def undo(self) -> None:
         """Take the last effect out again."""
         if not self.fits:
             raise MufasaError("nothing to undo: no effect was added")
         self.fits.pop()
-        self._tried = {}
+        self._tried, self._formed = {}, set()
 
     def report(self, verdict: Verdict | None = None) -> Report:
         """What has been found so far."""
         return compile_report(self, verdict)
 
+    def _rank_first(self, candidate: Candidate) -> None:
+        self.ranking = [candidate, *(c for c in self.ranking if c.effect != candidate.effect)]
+
     # Inside -------------------------------------------------------------------------------------------------
+
+    def _finalists(self, leads: dict[str, Lead]) -> list[str]:
+        """The leads worth a fit: the best few, fewer where the first is far ahead or none can be convincing."""
+        order = list(leads)
+        gain = [leads[kind].gain for kind in order]
+        if self.fits:
+            return [k for i, k in enumerate(order[:LATER_FINALISTS]) if i < 1 or gain[i] > PROMISING * self.needed()]
+        return [k for i, k in enumerate(order[:FINALISTS]) if i < 2 or gain[i] > 0.25 * max(gain[0], 1.0)]
 
     def _candidate(self, found: Fit, near: tuple[str, ...]) -> Candidate:
         """The case of a fitted effect against the model as it stands."""
         before, after = self.state.held_out_error(self.x), found.state.held_out_error(self.x)
-        share = float(np.clip((before - after) / max(before - self.state.floor(), 1e-9), 0.0, 1.0))
+        share = float(np.clip((before - after) / max(before - self.state.floor, 1e-9), 0.0, 1.0))
         gain = max(self.state.score(self.x) - found.score, 0.0)
         p = self.null.p_evidence(gain)
         return Candidate(found.effect.kind, p, gain, after, share, _parameters(found.effect), found.sd, near)
@@ -253,7 +301,10 @@ def diagnose(
         helps = inquiry.convincing(best)
         if helps:
             inquiry.add(best)
-        told = told or inquiry.ranking
+            inquiry.simplify()
+        fitted_now = {c.effect: c for c in inquiry.ranking if c.effect in inquiry.chosen[-1:]}
+        told = [fitted_now.get(c.effect, c) for c in told] or inquiry.ranking
+        told = sorted(told, key=lambda c: c.effect not in inquiry.chosen[:1])
         if not helps:
             break
     inquiry.ranking = told
@@ -277,13 +328,6 @@ def refine(
     for effect in add:
         inquiry.add(effect)
     return inquiry.report()
-
-
-def _finalists(leads: dict[str, Lead]) -> list[str]:
-    """The leads worth a fit: the best few, fewer where the first is far ahead."""
-    order = list(leads)
-    best = max(leads[order[0]].gain, 1.0) if order else 1.0
-    return [k for i, k in enumerate(order[:FINALISTS]) if i < 2 or leads[k].gain > 0.25 * best]
 
 
 def _known(kind: str) -> type[Effect]:

@@ -67,7 +67,8 @@ class State:
 
     mean, spread (part, observable) · slopes (part, observable, free value), free values with prior widths: the
     nuisance values first, then effect parameters · whiten (part, observable, observable) · check (simulation,
-    part, observable) simulations of fresh seeds · least_spread (observable,)
+    part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error that the
+    model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make
     """
 
     model: Model
@@ -79,6 +80,7 @@ class State:
     check: Array
     free: tuple[str, ...]
     least_spread: Array
+    floor: float = 1.0
 
     def profiled(self, x: Array, part: int = 0) -> Profile:
         """The measurement x (part, observable) against this model, free values moved."""
@@ -96,16 +98,12 @@ class State:
         )  # fmt: skip
         return float(np.sqrt(np.mean(still.residual**2)))
 
-    def floor(self) -> float:
-        """The held-out error that the model itself would score: its fresh simulations taken as measurements."""
-        return float(np.median([self.held_out_error(x) for x in self.check]))
-
     def misfit(self, x: Array) -> float:
         return self.profiled(x).chi2
 
     def score(self, x: Array) -> float:
         """−2 log likelihood, up to a constant all models share."""
-        return self.misfit(x) + 2 * float(np.log(self.spread[0]).sum())
+        return self.misfit(x) + 2 * float(np.log(self.spread[0]).sum() - np.linalg.slogdet(self.whiten[0])[1])
 
     def screen(self, x: Array, rays: dict[str, list[Ray]]) -> dict[str, list[Lead]]:
         """Per effect: the largest fall of chi² along any ray of each of its forms, best form first."""
@@ -191,6 +189,7 @@ def build(bench: Bench, model: Model, kinds: Sequence[str]) -> Library:
     free = tuple(n.path for n in values)
     bare = State(model, blank, blank, slopes, prior, blank, check, free, spread_floor(bench.names))
     base = _with_noise_of(bare, rows)
+    base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
     return Library(bench, base, rows, values, _rays(bench, model, rows, kinds))
 
 
@@ -198,7 +197,8 @@ def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict
     jobs: list[tuple[Effect, int]] = []
     for kind in kinds:
         settings = ray_settings(catalogue()[kind], model, np.random.default_rng([bench.seed, *kind.encode()]))
-        jobs += [(setting, i % 8) for i, setting in enumerate(settings)]
+        seen = catalogue()[kind].read_off(bench.measured)
+        jobs += [(changed(setting, seen), i % 8) for i, setting in enumerate(settings)]
     found = bench.rows([(model.with_effects(effect), number) for effect, number in jobs])
     rays: dict[str, list[Ray]] = {kind: [] for kind in kinds}
     for (effect, number), row in zip(jobs, found, strict=True):

@@ -27,15 +27,14 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
     library, x = inquiry.library, inquiry.x
     states = [library.base, *(f.state for f in inquiry.fits)]
     final = states[-1]
-    # Every model of the history is judged with the final model's spread, so that the errors compare.
-    errors = [_as_seen_by(state, final).held_out_error(x) for state in states]
-    floor = final.floor()
+    errors = [state.held_out_error(x) for state in states]
+    floor = final.floor
     history: list[dict[str, Any]] = [{"model": "base", "error": errors[0]}]
     history += [{"added": kind, "error": error} for kind, error in zip(inquiry.chosen, errors[1:], strict=True)]
     table = _table(inquiry, final)
     numbers = range(CURVE_SEED, CURVE_SEED + CURVE_SIMULATIONS)
     before = inquiry.bench.observations([(library.base.model, k) for k in numbers])
-    after = inquiry.bench.observations([(final.model, k) for k in numbers]) if inquiry.chosen else before
+    after = inquiry.bench.observations([(inquiry.model, k) for k in numbers]) if inquiry.chosen else before
     interval = inquiry.believed.acquisition.interval_s
     verdict = verdict or judge(inquiry, errors, floor)
     return Report(
@@ -45,7 +44,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         ranking=list(inquiry.ranking),
         chosen=inquiry.chosen,
         history=history,
-        model=_restored(final.model, inquiry.believed),
+        model=_restored(inquiry.model, inquiry.believed),
         base=_restored(library.base.model, inquiry.believed),
         observables=table,
         curves=draw(inquiry.bench.measured, before, after, interval),
@@ -92,12 +91,6 @@ def detectable(inquiry: Investigation) -> dict[str, float | None]:
                     break
         found[kind] = float(np.median(strengths)) if len(strengths) > len(rays) / 2 else None
     return found
-
-
-def _as_seen_by(state: State, judge_state: State) -> State:
-    from dataclasses import replace
-
-    return replace(state, spread=judge_state.spread)
 
 
 def _table(inquiry: Investigation, final: State) -> pd.DataFrame:

@@ -6,15 +6,18 @@ sheet or a dark frame shows.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.camera import Stack
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import course
+from napari_mufasa.effects.illumination import course, seen_step, step_time
 from napari_mufasa.scene import Scene
+
+if TYPE_CHECKING:
+    from napari_mufasa.observe import Observation
 
 STAGE = "camera"
 Frames = NDArray[np.int64]
@@ -303,10 +306,16 @@ class BaselineDrift(Effect):
         unit="ADU",
         description="change from first to last frame",
     )
+    step_at: float = step_time()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, float]:
+        return seen_step(observation)
+
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        offset_e = (self.drift_adu * _adu(scene) * course(self.form, scene.progress, rng)).astype(np.float32)
+        path = course(self.form, scene.progress, rng, self.step_at)
+        offset_e = (self.drift_adu * _adu(scene) * path).astype(np.float32)
         scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,15 @@ from numpy.typing import NDArray
 from napari_mufasa.effects.base import Effect, parameter
 from napari_mufasa.scene import Array, Scene
 
+if TYPE_CHECKING:
+    from napari_mufasa.observe import Observation
+
 STAGE = "illumination"
 
 
-def course(form: str, progress: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def course(
+    form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float = 0.5
+) -> NDArray[np.float64]:
     """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering."""
     if form == "linear":
         return progress
@@ -22,12 +27,31 @@ def course(form: str, progress: NDArray[np.float64], rng: np.random.Generator) -
     elif form == "accelerating":
         path = progress**2
     elif form == "step":
-        path = 1 / (1 + np.exp(-(progress - 0.5) * 60))
+        path = 1 / (1 + np.exp(-(progress - step_at) * 60))
     else:
         walk = np.cumsum(rng.standard_normal(len(progress)))
         walk -= walk[0]
         path = walk / max(np.abs(walk).max(), 1e-12)
     return path
+
+
+def step_time() -> Any:
+    """The field `step_at` of effects with a stepwise course."""
+    return parameter(
+        0.5, ge=0, le=1, plausible=(0.1, 0.9), unit="of the movie", description="when it happens, for the form step"
+    )
+
+
+def seen_step(observation: Observation) -> dict[str, float]:
+    """`step_at` as the background shows it: the split of the movie whose two means differ most beyond noise."""
+    light = observation.course
+    n = len(light)
+    before = np.arange(1, n)
+    total = np.cumsum(light)[:-1]
+    difference = total / before - (light.sum() - total) / (n - before)
+    evidence = np.abs(difference) * np.sqrt(before * (n - before) / n)
+    inner = slice(n // 20, n - n // 20)
+    return {"step_at": float((np.argmax(evidence[inner]) + n // 20 + 0.5) / max(n - 1, 1))}
 
 
 class IlluminationProfile(Effect):
@@ -92,10 +116,16 @@ class LaserDrift(Effect):
         unit="",
         description="relative change from first to last frame",
     )
+    step_at: float = step_time()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, float]:
+        return seen_step(observation)
+
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        scene.light = np.maximum(scene.light * (1 + self.change * course(self.form, scene.progress, rng)), 0.0)
+        change = self.change * course(self.form, scene.progress, rng, self.step_at)
+        scene.light = np.maximum(scene.light * (1 + change), 0.0)
 
 
 class LaserFlicker(Effect):
