@@ -4,7 +4,7 @@
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format blind validate bench-denoise screenshots docs clean
+.PHONY: help setup demo test lint format blind validate bench-denoise stalls screenshots docs clean
 
 export PYTHON
 PY := .venv/bin/python
@@ -41,6 +41,10 @@ validate: setup ## the physics against known answers
 bench-denoise: setup ## denoisers against ground truth and against BM3D
 	@tools/setup.sh bench
 	$(PY) -m benchmarks.denoise $(ARGS)
+
+stalls: setup ## how long the interface stands still, and what napari's start costs with the plugin
+	tools/run-tests.sh benchmarks/test_stalls.py -q -s --show-capture=no $(ARGS)
+	xvfb-run -a -s "-screen 0 1600x1000x24" $(PY) -m benchmarks.startup
 
 screenshots: setup ## pictures of the viewer, drawn under Xvfb
 	xvfb-run -a -s "-screen 0 1600x1000x24" $(PY) tools/screenshots.py $(ARGS)

@@ -121,3 +121,24 @@ def test_hidden_effect_sample_tells_the_belief_and_not_the_truth(viewer):
     # No light in the dark frames: they sit at the baseline, the movie above it.
     assert abs(dark.data.mean() - stored["model"]["camera"]["baseline_adu"]) < 5
     assert movie.data.mean() > dark.data.mean() + 50
+
+
+def test_preferences_are_those_of_the_manifest_and_are_obeyed(viewer):
+    from napari.settings import get_plugin_settings
+
+    from napari_mufasa.widgets.molecules import MoleculesPanel
+    from napari_mufasa.widgets.preferences import _defaults, preference
+
+    names = [f"{group}.{name}" for group, settings in _defaults().items() for name in settings]
+    assert len(names) >= 6
+    assert all(preference(name) == _defaults()[name.split(".")[0]][name.split(".")[1]] for name in names)
+    settings = get_plugin_settings("napari-mufasa")
+    settings.steps.threshold_sigma = 9.5
+    try:
+        panel = MoleculesPanel(viewer)
+        viewer.window.add_dock_widget(panel)
+        assert panel.threshold.value() == 9.5
+    finally:
+        settings.steps.threshold_sigma = 6.0
+    with pytest.raises(ValueError):
+        settings.steps.threshold_sigma = 1.0  # below the least that makes sense

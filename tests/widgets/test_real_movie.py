@@ -50,12 +50,13 @@ def test_mouse_click_shows_the_trace(make_napari_viewer, qtbot, run, bright_mode
 
 
 @pytest.mark.realdata
-def test_real_movie_gives_its_molecules(viewer, run):
+def test_real_movie_gives_its_molecules(viewer, run, qtbot):
     if not MOVIE.is_file():
         pytest.skip(f"the real movie is not beside the project ({MOVIE})")
     workflow = WorkflowWidget(viewer)
     viewer.window.add_dock_widget(workflow)
-    workflow.step("Data").open_movie(str(MOVIE))
+    with qtbot.waitSignal(workflow.step("Data").run_bar.finished, timeout=60_000):
+        workflow.step("Data").open_movie(str(MOVIE))
     layer = session_of(viewer).movie_layer
     assert not isinstance(layer.data, np.ndarray)  # stays on disk
     workflow.step("Model").source.open_file(str(MODEL))

@@ -26,7 +26,8 @@ def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_pat
     # 1 Data: the sample brings its believed model and its dark frames
     data = workflow.step("Data")
     data.sample.setCurrentText("Sample: hidden effect")
-    data.sample_button.click()
+    with qtbot.waitSignal(data.run_bar.finished, timeout=60_000):
+        data.sample_button.click()
     movie = session.movie_layer
     assert movie.name == "hidden effect" and session.dark_layer is not None
     believed = session.model
@@ -75,10 +76,18 @@ def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_pat
     assert best == truth
 
     # where it fails: a click shows the observable measured and simulated, and its place in the image
-    panel.where.failing.selectRow(0)
-    panel.where.failing.itemSelectionChanged.emit()
-    assert panel.where.curve.drawn
-    assert panel.where.place.text()
+    places = set()
+    for row in range(panel.where.failing.rowCount()):
+        panel.where.failing.selectRow(row)
+        panel.where.failing.itemSelectionChanged.emit()
+        assert panel.where.curve.drawn
+        shown = [layer.name for layer in viewer.layers if layer.name.startswith("where: ") and layer.visible]
+        assert len(shown) <= 1  # the place of the observable that is chosen, and no other
+        assert panel.where.place.text() and (not shown or shown[0] in panel.where.place.text())
+        places.update(shown)
+    assert places
+    panel.where.in_image.setChecked(False)
+    assert not any(layer.name.startswith("where: ") and layer.visible for layer in viewer.layers)
 
     # add it: the error falls to its floor, the model's movie appears beside the measured one
     panel.tabs.setCurrentWidget(panel.what)

@@ -12,6 +12,7 @@ from napari_mufasa.widgets.live import LiveLine
 from napari_mufasa.widgets.model_panel import ModelSource
 from napari_mufasa.widgets.panel import MovieChooser, Panel, Tabs, seed_row
 from napari_mufasa.widgets.plot import PlotCanvas
+from napari_mufasa.widgets.preferences import preference
 
 if TYPE_CHECKING:
     from napari_mufasa.compare import Comparison
@@ -49,7 +50,7 @@ class ComparePanel(Panel):
         self.seed, row = seed_row()
         self.fit = QCheckBox("also fit brightness, background and bleaching")
         self.fit.setToolTip("A wrong laser power is then not read as wrong physics")
-        self.fit.setChecked(True)
+        self.fit.setChecked(bool(preference("steps.fit_before_comparing")))
         self.column.addWidget(self.chooser)
         self.column.addWidget(self.source)
         self.column.addLayout(row)
@@ -67,6 +68,7 @@ class ComparePanel(Panel):
         self.distances = PlotCanvas(self.viewer, "The distances appear here.", 260)
         self.curves = PlotCanvas(self.viewer, "The distributions appear here.", 230)
         self.which = QComboBox()
+        self.which.setAccessibleName("Distribution")
         for name, words in CURVES.items():
             self.which.addItem(words, name)
         self.which.currentIndexChanged.connect(self._show_curves)

@@ -37,6 +37,7 @@ class DataPanel(Panel):
     def build(self) -> None:
         self.sample = QComboBox()
         self.sample.addItems(list(SAMPLES))
+        self.sample.setAccessibleName("Sample")
         slim(self.sample)
         self.sample_button = QPushButton("Open sample")
         self.sample_button.clicked.connect(self._open_sample)
@@ -76,17 +77,28 @@ class DataPanel(Panel):
             self.open_movie(path)
 
     def open_movie(self, path: str) -> None:
-        """Open any TIFF or zarr movie, ours or foreign, lazily."""
-        from napari_mufasa.napari_io import movie_layer
+        """Open any TIFF or zarr movie, ours or foreign, lazily; in the background, for a header may be long."""
 
-        data, options, _ = movie_layer(path)
-        layer = self.viewer.add_image(data, **options)
-        self._take(layer)
+        def work(progress: Any, cancel: Any) -> Any:
+            from napari_mufasa.napari_io import movie_layer
+
+            return [movie_layer(path)]
+
+        self.start("Opening", work, self._add)
 
     def open_sample(self, key: str) -> None:
-        """Open one of the plugin's samples."""
-        layers = self.viewer.open_sample("napari-mufasa", key)
-        self._take(next(layer for layer in layers if stored(layer, "role") != "dark frames"))
+        """Open one of the plugin's samples: it is simulated in the background."""
+
+        def work(progress: Any, cancel: Any) -> Any:
+            from napari_mufasa import napari_io
+
+            return getattr(napari_io, f"sample_{key}")()
+
+        self.start("Simulating the sample", work, self._add)
+
+    def _add(self, found: list[Any]) -> None:
+        added = [self.viewer.add_image(data, **options) for data, options, _ in found]
+        self._take(next(layer for layer in added if stored(layer, "role") != "dark frames"))
 
     def refresh(self) -> None:
         layer = self.session.movie_layer

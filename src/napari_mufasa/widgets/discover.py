@@ -197,7 +197,7 @@ class DiscoverPanel(Panel):
         self.session.set_model(report.model, f"fitted to {self._name}")
         self.session.set_result("report", report)
         self._show_simulated()
-        if self.layers.place is not None:
+        if self.layers.showing:
             self._show_place(self.where.selected())
 
     def _enable(self) -> None:

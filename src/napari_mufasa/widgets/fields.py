@@ -278,6 +278,8 @@ class Form(QWidget):
             editor.edited.connect(lambda name=name: self.edited.emit(name))
             label = QLabel(label_of(name))
             label.setToolTip(tip)
+            label.setBuddy(editor)
+            editor.setAccessibleName(f"{label_of(name)} {unit}".strip())
             if isinstance(editor, NumberEdit) and name in EMPTY:
                 editor.setPlaceholderText(EMPTY[name])
             row = QWidget()

@@ -13,11 +13,13 @@ from qtpy.QtCore import QObject, Qt, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.widgets.courtesy import courteous
 
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
 Work = Callable[[Progress, Cancel], Any]
 POLL_S = 0.05
+TWENTIETHS = 20  # steps of the progress bars: napari draws its own at each
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Outcome:
 
 
 def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome]:
-    """Run `work` in a thread of its own, yield once per percent done, return the outcome.
+    """Run `work` in a thread of its own, yield once per twentieth done, return the outcome.
 
     The library reports progress by callbacks, napari listens to a generator. The inner thread also lets Cancel act
     at once: the generator leaves, the work notices at its next look at `stop` and throws its result away.
@@ -38,13 +40,14 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
 
     def run() -> None:
         try:
-            outcome = Outcome(work(lambda done, total: news.put((done, total)), stop))
+            with courteous():
+                outcome = Outcome(work(lambda done, total: news.put((done, total)), stop))
         except BaseException as error:  # handed to the interface, which tells the user
             outcome = Outcome(error=error)
         news.put(outcome)
 
     threading.Thread(target=run, daemon=True, name="mufasa-work").start()
-    percent = 0
+    twentieths = 0
     while not stop():
         try:
             item = news.get(timeout=POLL_S)
@@ -53,8 +56,8 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
         if isinstance(item, Outcome):
             return item
         done, total = item
-        for _ in range(percent, min(100, int(100 * done / max(total, 1)))):
-            percent += 1
+        for _ in range(twentieths, min(TWENTIETHS, int(TWENTIETHS * done / max(total, 1)))):
+            twentieths += 1
             yield done, total
     return Outcome(error=Cancelled())
 
@@ -110,7 +113,7 @@ class RunBar(QWidget):
         box: list[Any] = []
         worker: Any = create_worker(
             _steps, work, lambda: bool(box) and box[0].abort_requested,
-            _progress={"total": 100, "desc": title}, _start_thread=False,
+            _progress={"total": TWENTIETHS, "desc": title}, _start_thread=False,
         )  # fmt: skip
         box.append(worker)
         self._worker, self._done, self._outcome = worker, done, None

@@ -10,6 +10,7 @@ from typing import Any
 from qtpy.QtCore import QObject, QTimer, Signal  # type: ignore[attr-defined]
 
 from napari_mufasa.errors import Cancelled
+from napari_mufasa.widgets.courtesy import courteous
 from napari_mufasa.widgets.jobs import Outcome
 
 Work = Callable[[Callable[[], bool]], Any]
@@ -59,7 +60,8 @@ class Latest(QObject):
 
         def run() -> None:
             try:
-                outcome = Outcome(work(lambda: self._number != number))
+                with courteous():
+                    outcome = Outcome(work(lambda: self._number != number))
             except BaseException as error:  # handed to the interface
                 outcome = Outcome(error=error)
             with contextlib.suppress(RuntimeError):  # the panel is gone

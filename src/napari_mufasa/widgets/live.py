@@ -8,6 +8,7 @@ from qtpy.QtCore import QObject, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QLabel
 
 from napari_mufasa.widgets.latest import Latest
+from napari_mufasa.widgets.preferences import preference
 
 if TYPE_CHECKING:
     from napari_mufasa.widgets.quick_distance import QuickDistance
@@ -50,6 +51,8 @@ class LiveDistance(QObject):
 
     def refresh(self) -> None:
         """Work out the distance if it is not known and someone looks."""
+        if not preference("picture.live_distance"):
+            return
         if not self._stale or not any(looker.isVisible() for looker in self._lookers):
             return
         self._stale = False
@@ -69,6 +72,8 @@ class LiveDistance(QObject):
 
     def words(self) -> str:
         """The distance in a line."""
+        if not preference("picture.live_distance"):
+            return ""
         if self._traces is None:
             return NOT_YET
         if self.problem:

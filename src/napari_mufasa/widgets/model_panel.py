@@ -50,6 +50,7 @@ class ModelSource(QWidget):
         self.save_button.clicked.connect(self._save)
         self.origin = QLabel()
         self.origin.setWordWrap(True)
+        self.combo.setAccessibleName("Model")
         row = QHBoxLayout()
         row.addWidget(QLabel("Model"))
         row.addWidget(self.combo, 1)

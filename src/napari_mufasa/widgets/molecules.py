@@ -14,6 +14,7 @@ from napari_mufasa.widgets.jobs import guarded
 from napari_mufasa.widgets.layers import add_points, slim
 from napari_mufasa.widgets.panel import MovieChooser, Panel, takes_the_rest
 from napari_mufasa.widgets.plot import PlotCanvas
+from napari_mufasa.widgets.preferences import preference
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +43,7 @@ class MoleculesPanel(Panel):
         self.profile.setToolTip("What is read as the molecule's signal in a frame")
         self.threshold = QDoubleSpinBox()
         self.threshold.setRange(2, 50)
-        self.threshold.setValue(6)
+        self.threshold.setValue(float(preference("steps.threshold_sigma")))
         self.threshold.setSingleStep(0.5)
         self.threshold.setSuffix(" σ")
         self.threshold.setToolTip("How far above the noise a spot must stand")

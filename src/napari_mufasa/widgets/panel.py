@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QSizePolicy, QSpinBox, QTabWidget, QVBoxLayout, QWidget
+from qtpy.QtCore import Qt
+from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined]
+from qtpy.QtWidgets import (
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QSizePolicy,
+    QSpinBox,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)
 
 from napari_mufasa.widgets.jobs import RunBar, Work, guarded
 from napari_mufasa.widgets.layers import LayerCombo
+from napari_mufasa.widgets.preferences import preference
 from napari_mufasa.widgets.session import Session, session_of, unwrapped
 
 if TYPE_CHECKING:
@@ -65,6 +78,9 @@ class Panel(QWidget):
             self.column.addWidget(label)
         self.run_bar = RunBar(self.run_label)
         self.run_bar.clicked.connect(self.run)
+        self.run_bar.run_button.setToolTip(f"{self.words} (Ctrl+Return)".strip())
+        shortcut(self, "Ctrl+Return", self.run_bar.run_button.click)
+        shortcut(self, "Escape", self.run_bar.cancel)
         self.build()
 
     def build(self) -> None:
@@ -81,6 +97,13 @@ class Panel(QWidget):
 
     def start(self, title: str, work: Work, done: Any) -> None:
         self.run_bar.start(title, work, done)
+
+
+def shortcut(owner: QWidget, keys: str, action: Callable[[], Any]) -> None:
+    """A key that works while the keyboard is anywhere within `owner`."""
+    made = QShortcut(QKeySequence(keys), owner)
+    made.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+    made.activated.connect(action)
 
 
 class Tabs(QTabWidget):
@@ -104,10 +127,12 @@ def seed_row() -> tuple[QSpinBox, QHBoxLayout]:
     """A seed and its label in a row."""
     seed = QSpinBox()
     seed.setRange(0, 2**31 - 1)
-    seed.setValue(1)
+    seed.setValue(int(preference("steps.seed")))
     seed.setToolTip("The same seed gives the same answer")
+    label = QLabel("Seed")
+    label.setBuddy(seed)
     row = QHBoxLayout()
-    row.addWidget(QLabel("Seed"))
+    row.addWidget(label)
     row.addWidget(seed)
     row.addStretch(1)
     return seed, row

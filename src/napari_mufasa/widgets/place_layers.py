@@ -11,7 +11,7 @@ from napari_mufasa.widgets.layers import PLACE, add_movie
 from napari_mufasa.widgets.places import MOLECULE_WORDS, WORDS, Places, place_of
 
 if TYPE_CHECKING:
-    from napari.layers import Image, Layer
+    from napari.layers import Image, Points
     from napari.viewer import Viewer
 
 SD_SHOWN = 6.0  # the colours' ends
@@ -19,26 +19,51 @@ GAP_PX = 4
 
 
 class PlaceLayers:
-    """One layer with the misfit of the chosen observable, one with the movie of the model as it stands."""
+    """A map and a layer of molecules with the misfit of the chosen observable, and the movie of the model as it stands.
+
+    Layers are kept and given new data where they can be: napari needs a quarter of a second to make one.
+    """
 
     def __init__(self, viewer: Viewer) -> None:
         self.viewer = viewer
-        self.place: Layer | None = None
-        self.simulated: Layer | None = None
+        self._layers: dict[str, Any] = {}
+        self._of: Places | None = None
+
+    @property
+    def map(self) -> Image | None:
+        return self._alive("map")
+
+    @property
+    def molecules(self) -> Points | None:
+        return self._alive("molecules")
+
+    @property
+    def simulated(self) -> Image | None:
+        return self._alive("simulated")
+
+    @property
+    def showing(self) -> bool:
+        """Whether a place is shown."""
+        return any(layer is not None and layer.visible for layer in (self.map, self.molecules))
 
     def clear(self) -> None:
-        self.hide_place()
-        self.hide_simulated()
+        for name in ("map", "molecules", "simulated"):
+            self._remove(name)
 
     def hide_place(self) -> None:
-        self._remove("place")
+        for layer in (self.map, self.molecules):
+            if layer is not None:
+                layer.visible = False
 
     def hide_simulated(self) -> None:
         self._remove("simulated")
 
     def show(self, observable: str, places: Places, movie: Image, first_frame: int = 0) -> str:
         """Show the place of an observable on top of `movie`; says in words what is shown."""
-        self._remove("place")
+        if places is not self._of:
+            self._remove("molecules")  # they may be other ones
+            self._of = places
+        self.hide_place()
         name = place_of(observable)
         if name.startswith("molecules:"):
             return self._show_molecules(name.removeprefix("molecules:"), places, movie)
@@ -52,43 +77,55 @@ class PlaceLayers:
 
     def show_simulated(self, places: Places, movie: Image, name: str, first_frame: int = 0) -> None:
         """The model's movie to the right of the measured one, at the same height and in the same contrast."""
-        self._remove("simulated")
         here = _at(places, movie)
         right = (movie.data.shape[-1] + GAP_PX) * movie.scale[-1]
         space = {
             "scale": tuple(movie.scale), "units": movie.units,
             "translate": (movie.translate[0] + first_frame * movie.scale[0], here[0], here[1] + right),
         }  # fmt: skip
-        self.simulated = add_movie(
-            self.viewer, places.simulated, name, space, places.model, contrast_limits=movie.contrast_limits,
-            colormap=movie.colormap.name, role="simulated",
-        )  # fmt: skip
-        self.viewer.layers.selection.active = movie
-        self.viewer.reset_view()
+        layer = self.simulated
+        if layer is None:
+            self._layers["simulated"] = add_movie(
+                self.viewer, places.simulated, name, space, places.model, contrast_limits=movie.contrast_limits,
+                colormap=movie.colormap.name, role="simulated",
+            )  # fmt: skip
+            self.viewer.layers.selection.active = movie
+            self.viewer.reset_view()
+        else:
+            layer.data, layer.name, layer.translate = places.simulated, name, space["translate"]
+            layer.metadata[METADATA_KEY]["model"] = places.model.to_dict()
 
     # kinds of places --------------------------------------------------------------------------------
     def _show_map(self, name: str, places: Places, movie: Image, first_frame: int) -> str:
         z = places.maps[name]
-        scale, units = tuple(movie.scale[-2:]), tuple(movie.units[-2:])
-        translate: tuple[float, ...] = _at(places, movie)
+        z = z if z.ndim == 3 else z[np.newaxis]  # one image for all frames, or one for each stretch
+        long, step = places.n_frames / len(z), float(movie.scale[0])
+        space: dict[str, Any] = {
+            "scale": (long * step, *movie.scale[-2:]),
+            "translate": (float(movie.translate[0]) + (first_frame + (long - 1) / 2) * step, *_at(places, movie)),
+            "name": f"where: {WORDS[name]}",
+        }
+        layer = self.map
+        if layer is None:
+            layer = self._layers["map"] = self.viewer.add_image(
+                z, **space, units=movie.units, colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN),
+                metadata={METADATA_KEY: {"role": PLACE}},
+            )  # fmt: skip
+            self.viewer.layers.selection.active = movie
+        else:
+            layer.data = z
+            for key, value in space.items():
+                setattr(layer, key, value)
+            layer.visible = True
         frames = ""
-        if z.ndim == 3:
-            long = places.n_frames / len(z)
+        if len(z) > 1:
             worst = int(np.argmax(np.square(z).mean(axis=(1, 2))))
             start, stop = round(worst * long), round((worst + 1) * long) - 1
             frames = f"; frames {start + first_frame} … {stop + first_frame} are farthest off"
-            step = float(movie.scale[0])
-            scale, units = (long * step, *scale), (movie.units[0], *units)
-            translate = (float(movie.translate[0]) + (first_frame + (long - 1) / 2) * step, *translate)
             self._go_to((start + stop) // 2 + first_frame, movie)
-        self.place = self.viewer.add_image(
-            z, name=f"where: {WORDS[name]}", scale=scale, units=units, translate=translate, colormap="PiYG",
-            contrast_limits=(-SD_SHOWN, SD_SHOWN), metadata={METADATA_KEY: {"role": PLACE}},
-        )  # fmt: skip
-        self.viewer.layers.selection.active = movie
         off = float((np.abs(z) > 4).mean())
         return (
-            f"Layer “{self.place.name}”: measured − model in sd (green more, pink less); "
+            f"Layer “{layer.name}”: measured − model in sd (green more, pink less); "
             f"{off:.1%} of the pixels are more than 4 sd off{frames}."
         )
 
@@ -97,18 +134,23 @@ class PlaceLayers:
         if not len(table) or number not in table:
             return "No molecule was found to show this on."
         z = table[number].to_numpy(float)
-        words = MOLECULE_WORDS[number]
-        size = 5.0 * float(places.model.sigma_px)
-        self.place = self.viewer.add_points(
-            table[["y_px", "x_px"]].to_numpy(float), name=f"where: {words}", scale=tuple(movie.scale[-2:]),
-            units=tuple(movie.units[-2:]), translate=tuple(movie.translate[-2:]), size=size, opacity=0.8,
-            features={"sd": z}, face_color="sd", face_colormap="PiYG", face_contrast_limits=(-SD_SHOWN, SD_SHOWN),
-            border_color="gray", border_width=0.05, metadata={METADATA_KEY: {"role": PLACE}},
-        )  # fmt: skip
-        self.viewer.layers.selection.active = movie
+        name = f"where: {MOLECULE_WORDS[number]}"
+        layer = self.molecules
+        if layer is None:
+            layer = self._layers["molecules"] = self.viewer.add_points(
+                table[["y_px", "x_px"]].to_numpy(float), name=name, scale=tuple(movie.scale[-2:]),
+                units=tuple(movie.units[-2:]), translate=tuple(movie.translate[-2:]), opacity=0.8,
+                size=5.0 * float(places.model.sigma_px), features={"sd": z}, face_color="sd", face_colormap="PiYG",
+                face_contrast_limits=(-SD_SHOWN, SD_SHOWN), border_color="gray", border_width=0.05,
+                metadata={METADATA_KEY: {"role": PLACE}},
+            )  # fmt: skip
+            self.viewer.layers.selection.active = movie
+        else:
+            layer.features, layer.name, layer.visible = {"sd": z}, name, True
+            layer.refresh_colors()
         worst = table.iloc[int(np.argmax(np.abs(z)))]
         return (
-            f"Layer “{self.place.name}”: each molecule against the model's (green more, pink less); "
+            f"Layer “{name}”: each molecule against the model's (green more, pink less); "
             f"{int((np.abs(z) > 3).sum())} of {len(z)} are more than 3 sd off, farthest at "
             f"y {worst['y_px']:.0f}, x {worst['x_px']:.0f} px."
         )
@@ -118,10 +160,15 @@ class PlaceLayers:
         if movie.ndim == 3:
             self.viewer.dims.set_point(0, float(movie.translate[0] + frame * movie.scale[0]))
 
+    def _alive(self, name: str) -> Any:
+        """The layer, unless the user has taken it out."""
+        layer = self._layers.get(name)
+        return layer if layer is not None and layer in self.viewer.layers else None
+
     def _remove(self, name: str) -> None:
-        layer: Any = getattr(self, name)
-        setattr(self, name, None)
-        if layer is not None and layer in self.viewer.layers:
+        layer = self._alive(name)
+        self._layers.pop(name, None)
+        if layer is not None:
             self.viewer.layers.remove(layer)
 
 

@@ -10,6 +10,7 @@ from napari_mufasa.napari_io import movie_space
 from napari_mufasa.widgets.layers import add_movie, add_points
 from napari_mufasa.widgets.model_panel import DerivedValues, ModelSource, PartEditor, section
 from napari_mufasa.widgets.panel import Panel
+from napari_mufasa.widgets.preferences import preference
 
 
 class SimulatePanel(Panel):
@@ -35,7 +36,7 @@ class SimulatePanel(Panel):
         self.column.addWidget(section("What follows", DerivedValues(self.session), False))
         self.seed = QSpinBox()
         self.seed.setRange(0, 2**31 - 1)
-        self.seed.setValue(1)
+        self.seed.setValue(int(preference("steps.seed")))
         self.seed.setToolTip("The same seed gives the same movie")
         self.engine = QComboBox()
         self.engine.addItems(["fast", "exact"])

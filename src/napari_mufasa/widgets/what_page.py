@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from qtpy.QtCore import Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QCheckBox, QHBoxLayout, QPushButton, QTextBrowser, QVBoxLayout, QWidget
 
+from napari_mufasa.widgets.preferences import preference
 from napari_mufasa.widgets.tables import add_row, table
 from napari_mufasa.widgets.telling import detectable_rows, title_of, words_of
 from napari_mufasa.wording import in_text
@@ -37,7 +38,7 @@ class WhatPage(QWidget):
         self.add_button.clicked.connect(self.add_clicked)
         self.undo_button.clicked.connect(self.undo_clicked)
         self.simulate_box = QCheckBox("show the completed model's movie beside the measured one")
-        self.simulate_box.setChecked(True)
+        self.simulate_box.setChecked(bool(preference("picture.show_simulated")))
         buttons = QHBoxLayout()
         buttons.addWidget(self.add_button, 1)
         buttons.addWidget(self.undo_button)

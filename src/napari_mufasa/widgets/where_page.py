@@ -9,6 +9,7 @@ from qtpy.QtWidgets import QCheckBox, QLabel, QVBoxLayout, QWidget
 
 from napari_mufasa.widgets.jobs import Quiet
 from napari_mufasa.widgets.plot import PlotCanvas
+from napari_mufasa.widgets.preferences import preference
 from napari_mufasa.widgets.tables import add_row, table
 from napari_mufasa.widgets.telling import matching_curve, told
 
@@ -37,7 +38,7 @@ class WherePage(QWidget):
         self.in_image.setToolTip(
             "A layer of measured minus simulated in standard deviations, or the molecules it is of"
         )
-        self.in_image.setChecked(True)
+        self.in_image.setChecked(bool(preference("picture.show_place")))
         self.place = QLabel()
         self.place.setWordWrap(True)
         self.place.hide()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from qtpy.QtCore import QSize, Qt
@@ -17,6 +18,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_mufasa.widgets.panel import shortcut
 from napari_mufasa.widgets.session import session_of, unwrapped
 
 if TYPE_CHECKING:
@@ -48,7 +50,10 @@ class WorkflowWidget(QWidget):
             button = QToolButton()
             button.setText(f"{number + 1}\n{name}")
             button.setCheckable(True)
-            button.setToolTip(f"Step {number + 1}: {name}")
+            button.setToolTip(f"Step {number + 1}: {name} (Alt+{number + 1})")
+            button.setAccessibleName(f"Step {number + 1}: {name}")
+            button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            shortcut(self, f"Alt+{number + 1}", partial(self.show_step, number))
             button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
             button.setMinimumWidth(button.fontMetrics().horizontalAdvance(name) + 6)
             button.setStyleSheet(STEP_STYLE)
@@ -59,6 +64,10 @@ class WorkflowWidget(QWidget):
         self.back_button, self.next_button = QPushButton("‹ Back"), QPushButton("Next ›")
         self.back_button.clicked.connect(lambda: self.show_step(self.stack.currentIndex() - 1))
         self.next_button.clicked.connect(lambda: self.show_step(self.stack.currentIndex() + 1))
+        self.back_button.setToolTip("Step before (Alt+Left)")
+        self.next_button.setToolTip("Next step (Alt+Right)")
+        shortcut(self, "Alt+Left", lambda: self.show_step(self.stack.currentIndex() - 1))
+        shortcut(self, "Alt+Right", lambda: self.show_step(self.stack.currentIndex() + 1))
         bottom = QHBoxLayout()
         bottom.addWidget(self.back_button)
         bottom.addStretch(1)
