@@ -113,8 +113,70 @@ def spread(band: Array, h: int, signs: Array, flat: bool, out: Array) -> None:
                 out[r + h, c + h] += signs[3] * band[r, c]
 
 
+@njit(cache=True, fastmath=True, nogil=True)
+def _shared(out: Array, h: int) -> None:
+    """Divide each place by the number of children per block and of blocks that cover it."""
+    rows, cols = out.shape
+    for r in range(rows):
+        shares = 2.0 * ((1.0 if r < rows - h else 0.0) + (1.0 if r >= h else 0.0))
+        single, double = np.float32(0.5 / shares), np.float32(0.25 / shares)
+        for c in range(min(h, cols)):
+            out[r, c] *= single
+        for c in range(h, max(cols - h, h)):
+            out[r, c] *= double
+        for c in range(max(cols - h, h), cols):
+            out[r, c] *= single
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _gathered(s: Array, a: Array, b: Array, e: Array, h: int, rows: int, cols: int) -> Array:
+    """`synthesise` of all bands at once: each row of blocks is spread over its two rows of children."""
+    out = np.zeros((rows, cols), s.dtype)
+    n = s.shape[1]
+    for r in range(s.shape[0]):
+        top_left, top_right = out[r, :n], out[r, h : h + n]
+        low_left, low_right = out[r + h, :n], out[r + h, h : h + n]
+        row_s, row_a, row_b, row_e = s[r], a[r], b[r], e[r]
+        for c in range(n):
+            top_left[c] += (row_s[c] + row_b[c]) + (row_a[c] + row_e[c])
+        for c in range(n):
+            top_right[c] += (row_s[c] + row_b[c]) - (row_a[c] + row_e[c])
+        for c in range(n):
+            low_left[c] += (row_s[c] - row_b[c]) + (row_a[c] - row_e[c])
+        for c in range(n):
+            low_right[c] += (row_s[c] - row_b[c]) - (row_a[c] - row_e[c])
+    _shared(out, h)
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _lifted(s: Array, h: int, rows: int, cols: int) -> Array:
+    """`synthesise` of scaling coefficients alone."""
+    out = np.zeros((rows, cols), s.dtype)
+    n = s.shape[1]
+    for r in range(s.shape[0]):
+        left, right, row = out[r, :n], out[r, h : h + n], s[r]
+        for c in range(n):
+            left[c] += row[c]
+        for c in range(n):
+            right[c] += row[c]
+    # From the bottom up, so that a row is added below before anything is added to it.
+    for r in range(s.shape[0] - 1, -1, -1):
+        above, below = out[r], out[r + h]
+        for c in range(cols):
+            below[c] += above[c]
+    _shared(out, h)
+    return out
+
+
 def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape: tuple[int, ...]) -> Array:
     """The level below (of ``shape``) from scaling coefficients and detail bands; ``None`` stands for zeros."""
+    if not flat:
+        if bands is None and low is not None:
+            return np.asarray(_lifted(low, h, shape[0], shape[1]))
+        if bands is not None:
+            sums = np.zeros_like(bands[0]) if low is None else low
+            return np.asarray(_gathered(sums, bands[0], bands[1], bands[2], h, shape[0], shape[1]))
     like = low if low is not None else bands
     assert like is not None
     out = np.zeros(shape, like.dtype)
@@ -132,8 +194,9 @@ def _add_shifted(total: Array, a: Array, dr: int, dc: int) -> None:
     rows, cols = a.shape
     first, last = max(0, -dc), min(cols, cols - dc)
     for r in range(max(0, -dr), min(rows, rows - dr)):
-        for c in range(first, last):
-            total[r, c] += a[r + dr, c + dc]
+        here, there = total[r, first:last], a[r + dr, first + dc : last + dc]
+        for c in range(last - first):
+            here[c] += there[c]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -157,10 +220,16 @@ def mean_beside(a: Array, distance: int, flat: bool) -> Array:
         n_r = 1
         if not flat:
             n_r += (1 if r >= distance else 0) + (1 if r < rows - distance else 0)
-        for c in range(cols):
-            n_c = 1 + (1 if c >= distance else 0) + (1 if c < cols - distance else 0)
-            number = n_r * n_c - 1
-            total[r, c] = (total[r, c] - a[r, c]) / max(number, 1)
+        edge = min(distance, cols)
+        inner = max(cols - distance, edge)
+        for part in range(3):
+            first = (0, edge, inner)[part]
+            last = (edge, inner, cols)[part]
+            n_c = 1 + (1 if first >= distance else 0) + (1 if first < cols - distance else 0)
+            share = np.float32(1.0 / max(n_r * n_c - 1, 1))
+            run, own = total[r, first:last], a[r, first:last]
+            for c in range(last - first):
+                run[c] = share * (run[c] - own[c])
     return total
 
 

@@ -53,13 +53,16 @@ def surroundings(s_beside: Array, energy: Array, variance: Array, alpha: float) 
     other = np.float32((1.0 - OWN) * alpha)
     floor = np.float32(0.25 * alpha * alpha + 1e-9)
     for r in range(rows):
+        beside_row, energy_row, base_row, spread = s_beside[r], energy[r], rest[r], variance[r]
+        narrow_row, wide_row = narrow[r], wide[r]
         for c in range(cols):
-            beside = max(s_beside[r, c], ZERO)
-            base = variance[r, c] + other * beside + floor
-            x = energy[r, c] / (base + own * beside)
-            rest[r, c] = base
-            narrow[r, c] = _class_weight(x * NARROW)
-            wide[r, c] = _class_weight(x * WIDE)
+            base_row[c] = spread[c] + other * max(beside_row[c], ZERO) + floor
+        for c in range(cols):
+            narrow_row[c] = energy_row[c] / (base_row[c] + own * max(beside_row[c], ZERO))
+        for c in range(cols):
+            wide_row[c] = _class_weight(narrow_row[c] * WIDE)
+        for c in range(cols):
+            narrow_row[c] = _class_weight(narrow_row[c] * NARROW)
     return rest, narrow, wide
 
 
@@ -192,43 +195,114 @@ def predictions(d: Array, s: Array, length: int, flat: bool) -> Array:
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def combine(d: Array, s: Array, bump: Array, narrow: Array, wide: Array, w: Array, length: int, flat: bool) -> Array:
+def _kept(a: Array, b: Array, e: Array, sums: Array, base: Array, own: Any, scale: Any, out: Array) -> None:
+    """Share of each block's details in one row that the threshold keeps."""
+    for c in range(len(out)):
+        energy = a[c] * a[c] + b[c] * b[c] + e[c] * e[c]
+        left = max(ZERO, ONE - scale * energy / (base[c] + own * max(sums[c], ZERO)))
+        left *= left
+        out[c] = left * left
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _added(out: Array, factor: Array, d: Array, empty: Array, p: Array, q: Array, w0: Any, w1: Any) -> None:
+    for c in range(len(out)):
+        out[c] = factor[c] * d[c] + (w0 + w1 * empty[c]) * (p[c] - q[c])
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _more(out: Array, empty: Array, p: Array, q: Array, w0: Any, w1: Any, sign: Any = ONE) -> None:
+    for c in range(len(out)):
+        out[c] += (w0 + w1 * empty[c]) * (p[c] + sign * q[c])
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _combine_run(
+    out: Array, d: Array, s: Array, rest: Array, narrow: Array, wide: Array, own: Any, scale: Any, w: Array,
+    rows3: Array, r: int, up: int, down: int, first: int, last: int, reach: int, fv: Any, fh: Any, flat: bool,
+) -> None:  # fmt: skip
+    """`combine` for the columns first … last - 1 of one row, all of which have the same neighbours."""
+    w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
+    a0, a1, b0, b1, c0, c1 = w[6], w[7], w[8], w[9], w[10], w[11]
+    n = last - first
+    # Views that all start at 0, and loops that write one row from few others: only so does the compiler work on many
+    # columns at once.
+    d_a, d_b, d_e = d[0, r, first:last], d[1, r, first:last], d[2, r, first:last]
+    sums, base, empty, nearly = s[r, first:last], rest[r, first:last], narrow[r, first:last], wide[r, first:last]
+    factor, here = rows3[0, :n], rows3[1, :n]
+    _kept(d_a, d_b, d_e, sums, base, own, scale, here)
+    for c in range(n):
+        factor[c] = (w0 + w1 * empty[c] + nearly[c] * w2) + here[c] * (w3 + w4 * empty[c] + nearly[c] * w5)
+    to_left, to_right = first - reach, first + reach
+    left, right, ahead = slice(to_left, to_left + n), slice(to_right, to_right + n), slice(first, last)
+    # Across scales: a difference of block sums.
+    _added(out[0, r, ahead], factor, d_a, empty, s[r, left], s[r, right], a0 * fh, a1 * fh)
+    if flat:
+        _more(out[0, r, ahead], empty, d[0, r, left], d[0, r, right], c0 * fh, c1 * fh)
+        out[1, r, ahead] = ZERO
+        out[2, r, ahead] = ZERO
+        return
+    _added(out[1, r, ahead], factor, d_b, empty, s[up, ahead], s[down, ahead], a0 * fv, a1 * fv)
+    both = fv * fh
+    _added(out[2, r, ahead], factor, d_e, empty, s[up, left], s[up, right], a0 * both, a1 * both)
+    _more(out[2, r, ahead], empty, s[down, right], s[down, left], a0 * both, a1 * both, -ONE)
+    # Within the band: along the edge that a detail means, and across it.
+    _more(out[0, r, ahead], empty, d[0, up, ahead], d[0, down, ahead], b0 * fv, b1 * fv)
+    _more(out[1, r, ahead], empty, d[1, r, left], d[1, r, right], b0 * fh, b1 * fh)
+    _more(out[2, r, ahead], empty, d[2, up, left], d[2, down, right], b0 * both, b1 * both)
+    _more(out[2, r, ahead], empty, d[2, up, right], d[2, down, left], b0 * both, b1 * both)
+    _more(out[0, r, ahead], empty, d[0, r, left], d[0, r, right], c0 * fh, c1 * fh)
+    _more(out[1, r, ahead], empty, d[1, up, ahead], d[1, down, ahead], c0 * fv, c1 * fv)
+    _more(out[2, r, ahead], empty, d[2, up, ahead], d[2, down, ahead], c0 * fv, c1 * fv)
+    _more(out[2, r, ahead], empty, d[2, r, left], d[2, r, right], c0 * fh, c1 * fh)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def combine(
+    d: Array, s: Array, rest: Array, narrow: Array, wide: Array, own: float, width: float, w: Array, length: int,
+    flat: bool,
+) -> Array:  # fmt: skip
     """The weighted sum of a level's spatial candidates, (3, rows, cols)."""
     rows, cols = s.shape
     out = np.empty((3, rows, cols), d.dtype)
-    w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
-    a0, a1, b0, b1, c0, c1 = w[6], w[7], w[8], w[9], w[10], w[11]
-    inner = max(cols - length, length)
+    own32, scale = np.float32(own), np.float32(0.25 / width)
+    start = min(length, cols)
+    inner = min(max(cols - length, start), cols)
+    rows3 = np.empty((3, cols), d.dtype)
     for r in range(rows):
         fv = ONE if length <= r < rows - length else ZERO
         up, down = max(r - length, 0), min(r + length, rows - 1)
-        # Three runs of columns, so that the long middle one has no case to tell apart.
-        for part in range(3):
-            first = (0, min(length, cols), min(inner, cols))[part]
-            last = (min(length, cols), min(inner, cols), cols)[part]
-            fh = ONE if part == 1 else ZERO
-            reach = length if part == 1 else 0
-            for c in range(first, last):
-                p = _predict(d, s, r, c, up, down, c - reach, c + reach, fv, fh, flat)
-                g = narrow[r, c]
-                factor = (w0 + w1 * g + wide[r, c] * w2) + bump[r, c] * (w3 + w4 * g + wide[r, c] * w5)
-                pa, pb, pc = a0 + a1 * g, b0 + b1 * g, c0 + c1 * g
-                out[0, r, c] = factor * d[0, r, c] + pa * p[0] + pb * p[3] + pc * p[6]
-                out[1, r, c] = factor * d[1, r, c] + pa * p[1] + pb * p[4] + pc * p[7]
-                out[2, r, c] = factor * d[2, r, c] + pa * p[2] + pb * p[5] + pc * p[8]
+        _combine_run(out, d, s, rest, narrow, wide, own32, scale, w, rows3, r, up, down, 0, start, 0, fv, ZERO, flat)
+        _combine_run(
+            out, d, s, rest, narrow, wide, own32, scale, w, rows3, r, up, down, start, inner, length, fv, ONE, flat
+        )
+        _combine_run(out, d, s, rest, narrow, wide, own32, scale, w, rows3, r, up, down, inner, cols, 0, fv, ZERO, flat)
     return out
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def combine_guide(out: Array, d: Array, guide: Array, bump: Array, narrow: Array, wide: Array, w: Array) -> None:
-    """Add the weighted candidates of one guide; ``d`` are the details before `combine`."""
-    bands, rows, cols = d.shape
+def combine_guide(
+    out: Array, d: Array, s: Array, rest: Array, guide: Array, narrow: Array, wide: Array, own: float, width: float,
+    w: Array,
+) -> None:  # fmt: skip
+    """Add the weighted candidates of one guide."""
+    rows, cols = s.shape
     w0, w1, w2, w3, w4 = w[0], w[1], w[2], w[3], w[4]
+    own32, scale = np.float32(own), np.float32(0.25 / width)
+    apart = np.empty((3, cols), d.dtype)
+    kept, direct = np.empty(cols, d.dtype), np.empty(cols, d.dtype)
     for r in range(rows):
+        for o in range(3):
+            row, detail, known = apart[o], d[o, r], guide[o, r]
+            for c in range(cols):
+                row[c] = detail[c] - known[c]
+        _kept(apart[0], apart[1], apart[2], s[r], rest[r], own32, scale, kept)
+        empty, nearly = narrow[r], wide[r]
         for c in range(cols):
-            g = narrow[r, c]
-            direct = (w0 + w1 * g) + w2 * wide[r, c]
-            shrunk = bump[r, c] * (w3 + w4 * g)
-            for o in range(bands):
-                v = guide[o, r, c]
-                out[o, r, c] += direct * v + shrunk * (d[o, r, c] - v)
+            direct[c] = (w0 + w1 * empty[c]) + w2 * nearly[c]
+        for c in range(cols):
+            kept[c] *= w3 + w4 * empty[c]
+        for o in range(3):
+            row, target, known = apart[o], out[o, r], guide[o, r]
+            for c in range(cols):
+                target[c] += direct[c] * known[c] + kept[c] * row[c]

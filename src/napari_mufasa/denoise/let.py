@@ -253,6 +253,19 @@ class Bands:
     def guide_width(self, guide: int) -> float:
         return self.width * (1.0 if guide < 0 else 1.0 + float(self.guide_noise[guide]))
 
+    def combined(self, w: Array) -> Array:
+        """Details of the sum of all candidates with weights ``w``, without storing them."""
+        out: Array = combine(
+            self.d, self.s, self.rest, self.narrow, self.wide, self.own, self.guide_width(-1), w[:SPATIAL],
+            self.distance, self.flat,
+        )  # fmt: skip
+        for k, guide in enumerate(self.guides):
+            share = w[SPATIAL + PER_GUIDE * k : SPATIAL + PER_GUIDE * (k + 1)]
+            combine_guide(
+                out, self.d, self.s, self.rest, guide, self.narrow, self.wide, self.own, self.guide_width(k), share
+            )
+        return out
+
     def candidates(self) -> list[Array]:
         """Details (3, rows, cols) of every candidate, in the order of the weights."""
         bump = self.bump(-1)
@@ -377,12 +390,7 @@ def apply(
     for number in range(levels):
         bands, v, lows = _analysed(a, v, lows, noise, 2**number, flat, guide_noise)
         w = weights[number * per_level : (number + 1) * per_level]
-        out = bands.d.copy() if guides else bands.d
-        bump = bands.bump(-1)
-        out = combine(bands.d, bands.s, bump, bands.narrow, bands.wide, w[:SPATIAL], bands.distance, bands.flat)
-        for k, guide in enumerate(bands.guides):
-            first = SPATIAL + PER_GUIDE * k
-            combine_guide(out, bands.d, guide, bands.bump(k), bands.narrow, bands.wide, w[first : first + PER_GUIDE])
+        out = bands.combined(w)
         kept.append((a.shape, out[: bands.n]))
         a = bands.s
     extra = weights[levels * per_level :]

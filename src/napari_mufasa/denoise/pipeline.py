@@ -143,15 +143,18 @@ class _Frames:
         from .purelet import LEVELS
         from .temporal import chosen_weights, sample_frames, sample_systems, sample_windows
 
-        parts = []
         chosen = sample_frames(self.shape[0], SAMPLES)
-        for number, t in enumerate(chosen):
+
+        def systems(number: int, t: int) -> list[Any]:
             _stop_if(cancel)
             first, last = self.reach(t, t + 1)
             data = self.read(first, last)
             tiles = sample_windows(self.shape[1:], number, len(chosen))
             noise = self.noise(data[t - first])
-            parts += sample_systems(data, t - first, noise, self.neighbours, LEVELS, tiles)
+            return sample_systems(data, t - first, noise, self.neighbours, LEVELS, tiles)
+
+        with ThreadPoolExecutor(max_workers=WORKERS) as pool:
+            parts = [part for found in pool.map(systems, range(len(chosen)), chosen) for part in found]
         self.weights = chosen_weights(parts)
         if self.method == "pure-let-patches" and self.weights is not None:
             self.way = float(np.mean([self._way(t, cancel) for t in sample_frames(self.shape[0], PATCH_SAMPLES)]))

@@ -146,7 +146,7 @@ def past_and_future(data: Array, first: int, stop: int, noise: Noise, most: int)
         if t < first:
             continue
         if t in future:
-            seen, relative = _joined(mean, number, s_mean, *future.pop(t), variance, noise.alpha)  # type: ignore[call-arg]
+            seen, relative = _joined(mean, number, s_mean, *future.pop(t), variance, noise.alpha)
         else:
             seen, relative = mean, float(np.mean(1.0 / number))
         yield t, seen, relative
