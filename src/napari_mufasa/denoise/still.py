@@ -3,7 +3,8 @@
 A molecule stays in one state for many frames and then changes at once. Walking through the movie, every pixel keeps
 the mean of the frames since its last change; a change is seen when the mean of the last three frames, smoothed to the
 size of a spot, leaves that mean by more than its noise allows. One walk forwards and one backwards give the past and
-the future of each frame, neither of which holds the frame itself: they enter its risk estimate as known images.
+the future of each frame, neither of which holds the frame itself: they enter its risk estimate as known images. Only
+the choice between them, next to a change, looks at the frame; the estimate leaves out what that adds.
 """
 
 from __future__ import annotations
@@ -85,10 +86,14 @@ def _step(
 
 @njit(cache=True, fastmath=True, nogil=True)
 def _joined(
-    past: Array, n_past: Array, s_past: Array, future: Array, n_future: Array, s_future: Array, variance: Array,
-    alpha: float,
+    past: Array, n_past: Array, s_past: Array, future: Array, n_future: Array, s_future: Array, s_now: Array,
+    variance: Array, alpha: float,
 ) -> tuple[Array, float]:  # fmt: skip
-    """Mean of past and future by their frames where they agree, plainly where not, and its mean noise variance."""
+    """Mean of past and future by their frames where they agree, and its mean noise variance.
+
+    Where they differ, a change lies just before or just after the frame: the one that the frame, smoothed, looks like
+    counts, by the odds of the two.
+    """
     rows, cols = past.shape
     out = np.empty_like(past)
     floor = np.float32(FLOOR * alpha)
@@ -100,11 +105,14 @@ def _joined(
         for c in range(cols):
             n, m = n_past[r, c], n_future[r, c]
             by_frames = (n * past[r, c] + m * future[r, c]) / (n + m)
-            plain = half * (past[r, c] + future[r, c])
             s_mean = (n * s_past[r, c] + m * s_future[r, c]) / (n + m)
-            level = share * (alpha32 * max(s_mean, floor) + variance[r, c]) * (one / n + one / m)
+            one_frame = max(share * (alpha32 * max(s_mean, floor) + variance[r, c]), np.float32(1e-12))
+            level = one_frame * (one / n + one / m)
             apart = s_past[r, c] - s_future[r, c]
-            agree = min(max((top - apart * apart / max(level, np.float32(1e-12))) / span, np.float32(0.0)), one)
+            nearer = apart * (s_now[r, c] - half * (s_past[r, c] + s_future[r, c])) / one_frame
+            odds = one / (one + np.exp(-min(max(nearer, np.float32(-20.0)), np.float32(20.0))))
+            plain = future[r, c] + odds * (past[r, c] - future[r, c])
+            agree = min(max((top - apart * apart / level) / span, np.float32(0.0)), one)
             out[r, c] = plain + agree * (by_frames - plain)
             row_total += one / (n + m)
         total += row_total
@@ -146,7 +154,7 @@ def past_and_future(data: Array, first: int, stop: int, noise: Noise, most: int)
         if t < first:
             continue
         if t in future:
-            seen, relative = _joined(mean, number, s_mean, *future.pop(t), variance, noise.alpha)
+            seen, relative = _joined(mean, number, s_mean, *future.pop(t), smooth(data[t]), variance, noise.alpha)
         else:
             seen, relative = mean, float(np.mean(1.0 / number))
         yield t, seen, relative
