@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import tifffile
+from tests.spec_example import MODEL
 
 import napari_mufasa as nm
 from napari_mufasa import io
@@ -19,22 +20,8 @@ from napari_mufasa.cli import main
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model import Model
 
-# model.json, as SPEC.md §10 prints it (smaller movie).
-PRINTED = {
-    "protocol": "FF",
-    "acquisition": {"n_frames": 60, "frame_length_s": 0.02, "pixel_size_nm": 100.0, "shape_px": [64, 64]},
-    "fluorophore": {
-        "extinction_coefficient_per_M_cm": 55900, "lifetime_s": 2.6e-9, "quantum_yield": 0.6,
-        "cycles_before_bleaching": None, "isc_ratio": None, "triplet_decay_rate_per_s": None,
-    },
-    "excitation": {"wavelength_nm": 488, "power_density_w_per_cm2": 30, "activation_rate_per_s": None},
-    "optics": {"psf_fwhm_nm": 300, "collection_efficiency": 0.6, "background_photons_per_px": 10},
-    "camera": {
-        "type": "EMCCD", "quantum_efficiency": 0.9, "read_noise_e": 50, "clock_induced_charge_e": 0.002,
-        "electrons_per_adu": 12, "baseline_adu": 200, "adc_max": 65535, "em_gain": 300,
-    },
-    "effects": [],
-}  # fmt: skip
+# A smaller movie than the example's.
+PRINTED = MODEL | {"acquisition": MODEL["acquisition"] | {"n_frames": 60, "shape_px": [64, 64]}}
 SPARSE = {"sample": {"n_molecules": 10, "min_distance_px": 9}}
 EFFECTS = [
     "triplet_blinking",

@@ -5,26 +5,13 @@ import json
 import numpy as np
 import pytest
 import tifffile
+from tests.spec_example import MODEL
 
 from napari_mufasa import Model, MufasaError, preset
 from napari_mufasa.effects import catalogue
 from napari_mufasa.model import Camera
 
-EXAMPLE = {  # SPEC.md §10, literally
-    "protocol": "FF",
-    "acquisition": {"n_frames": 300, "frame_length_s": 0.02, "pixel_size_nm": 100.0, "shape_px": [96, 96]},
-    "fluorophore": {
-        "extinction_coefficient_per_M_cm": 55900, "lifetime_s": 2.6e-9, "quantum_yield": 0.6,
-        "cycles_before_bleaching": None, "isc_ratio": None, "triplet_decay_rate_per_s": None,
-    },
-    "excitation": {"wavelength_nm": 488, "power_density_w_per_cm2": 30, "activation_rate_per_s": None},
-    "optics": {"psf_fwhm_nm": 300, "collection_efficiency": 0.6, "background_photons_per_px": 10},
-    "camera": {
-        "type": "EMCCD", "quantum_efficiency": 0.9, "read_noise_e": 50, "clock_induced_charge_e": 0.002,
-        "electrons_per_adu": 12, "baseline_adu": 200, "adc_max": 65535, "em_gain": 300,
-    },
-    "effects": [{"kind": "stage_drift", "distance_px": 2.0}],
-}  # fmt: skip
+EXAMPLE = MODEL | {"effects": [{"kind": "stage_drift", "distance_px": 2.0}]}
 
 
 def changed(path, value):

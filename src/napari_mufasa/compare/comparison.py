@@ -21,6 +21,7 @@ from napari_mufasa.traces.select import dynamics, windows
 
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
+ENOUGH_MOLECULES, MOST_MOVIES = 600, 4  # simulated behind a fit; movies made to get there
 
 
 @dataclass(frozen=True)
@@ -111,19 +112,22 @@ def compare_movie(
         steps.done()
     fitted = None
     if fit:
+        # Few molecules of unequal brightness are few samples: several movies make the fit and its W1 steadier.
+        repeats = int(np.clip(ENOUGH_MOLECULES // max(len(everywhere), 1), 1, MOST_MOVIES))
 
-        def simulate(candidate: Model) -> TraceSet:
-            return extract_simulated(Acquisition(candidate, everywhere, seed), options, cancel=cancel)
+        def simulate(candidate: Model, first_seed: int = seed) -> NDArray[np.float32]:
+            movies = (Acquisition(candidate, everywhere, first_seed + 1000 * i) for i in range(repeats))
+            return np.concatenate([extract_simulated(a, options, cancel=cancel).traces for a in movies])
 
         fitted = fit_model(measured, model, simulate)
         steps.done()
+    samples = {name: _sample(s.traces) for name, s in {"measured": measured, **sets}.items()}
+    if fitted is not None:
         # Another seed than the fit used: the fit must not profit from its own chance.
-        again = Acquisition(fitted.model, everywhere, seed + 10)
-        sets["fitted"] = extract_simulated(again, options, cancel=cancel)
+        samples["fitted"] = _sample(simulate(fitted.model, seed + 10))
         steps.done()
-    samples = {name: _sample(s) for name, s in {"measured": measured, **sets}.items()}
     notes = measured.notes + tuple(
-        f"{name}: no molecule was detected in the simulated movie" for name, s in sets.items() if not s.kept.any()
+        f"{name}: no molecule was detected in the simulated movie" for name, s in samples.items() if not len(s.traces)
     )
     return _compare(samples, model, measured.units, seed, n_bootstrap, fitted, measured, notes)
 
@@ -234,8 +238,8 @@ def _in_the_measurement(model: Model, shape: tuple[int, ...]) -> Model:
     return model.model_copy(update={"acquisition": model.acquisition.model_copy(update=update)})
 
 
-def _sample(traces: TraceSet) -> Sample:
-    return Sample(traces.traces, dynamics(traces.traces))
+def _sample(traces: NDArray[np.floating]) -> Sample:
+    return Sample(traces, dynamics(traces))
 
 
 def _cut(

@@ -25,8 +25,8 @@ MIN_SPOTS_FOR_DRIFT = 5
 DRIFT_PX = 0.7  # motion over the movie from which on the user is told
 
 
-@dataclass(frozen=True)
-class Options:
+@dataclass(frozen=True, kw_only=True)
+class Options(select.Choice):
     """How molecules are found, measured and chosen. Every field is a keyword of `extract_traces`.
 
     psf_sigma_px : PSF standard deviation in px; None measures it on the brightest spots
@@ -39,7 +39,7 @@ class Options:
     roi : (y, x) mask, or polygons as (vertex, 2) arrays of (y, x), as a Shapes layer holds them
     step_false_alarm : probability that a trace without any step is split
     border_px, isolation_px : None: σ and 3.5 σ, at least 1 and 3 px
-    min_snr … best : see `select.Rules`
+    min_snr … best : see `select.Choice`
     """
 
     psf_sigma_px: float | None = None
@@ -54,15 +54,6 @@ class Options:
     step_false_alarm: float = 0.01
     border_px: float | None = None
     isolation_px: float | None = None
-    min_snr: float = 1.0
-    min_brightness_e: float | None = None
-    min_lit_frames: int = 3
-    max_lit_share: float = 1.0
-    min_steps: int | None = None
-    max_steps: int | None = None
-    width: tuple[float, float] | None = (0.6, 1.3)
-    window: int | None = None
-    best: int | None = None
 
     def rules(self, sigma_px: float) -> select.Rules:
         shared = {f.name: getattr(self, f.name) for f in fields(select.Rules)}

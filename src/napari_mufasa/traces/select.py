@@ -88,11 +88,10 @@ def _bleaching_steps(step: Steps, on_level: float) -> int:
     return len(levels) - 1
 
 
-@dataclass(frozen=True)
-class Rules:
-    """What is kept. Distances in px, levels in photoelectrons, None switches a rule off.
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Which molecules are wanted. Levels in photoelectrons, None switches a rule off.
 
-    border_px : distance from the edge; isolation_px : distance to the nearest other candidate
     min_snr : on level over noise per frame; min_brightness_e : smallest on level
     min_lit_frames, max_lit_share : never on; always on (1 keeps molecules that never go dark)
     min_steps, max_steps : bleaching steps; width : narrowest axis allowed relative to the PSF, and widest
@@ -100,8 +99,6 @@ class Rules:
     window : frames just before bleaching that must be lit; best : how many of the best to keep
     """
 
-    border_px: float
-    isolation_px: float
     min_snr: float = 1.0
     min_brightness_e: float | None = None
     min_lit_frames: int = 3
@@ -111,6 +108,14 @@ class Rules:
     width: tuple[float, float] | None = (0.6, 1.3)
     window: int | None = None
     best: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules(Choice):
+    """What is kept. border_px : distance from the edge; isolation_px : distance to the nearest other candidate."""
+
+    border_px: float
+    isolation_px: float
 
 
 def windows(dyn: Dynamics, window: int, min_share: float = 0.9) -> NDArray[np.int64]:
