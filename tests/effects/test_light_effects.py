@@ -1,9 +1,12 @@
 """Laws of the illumination, optics and background effects at strong values."""
 
+import types
+
 import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_emission
+from napari_mufasa.effects.illumination import seen_step
 
 from .helpers import ccd, effect, plain, scene_of
 
@@ -73,6 +76,16 @@ def test_laser_drift_is_the_ratio_of_last_to_first(form, change):
 def test_wandering_drift_stays_within_its_change():
     light = scene_of(plain(n_frames=200).with_effects(effect("laser_drift", change=-0.3, form="wandering"))).light
     assert np.abs(light - 1).max() == pytest.approx(0.3) and light[0] == 1.0
+
+
+@pytest.mark.parametrize("step_at", [0.15, 0.5, 0.8])
+def test_a_step_comes_when_said_and_is_read_off_a_noisy_background(step_at):
+    model = plain(n_frames=200).with_effects(effect("laser_drift", change=0.3, form="step", step_at=step_at))
+    light = scene_of(model).light
+    assert np.argmax(np.abs(np.diff(light))) == pytest.approx(step_at * 199, abs=1)
+    # A step of 0.3 in noise of 0.05 per frame: the change point is off by more than 3 frames with chance < 1e-6.
+    course = light + 0.05 * np.random.default_rng(0).standard_normal(200)
+    assert seen_step(types.SimpleNamespace(course=course))["step_at"] == pytest.approx(step_at, abs=3 / 199)
 
 
 @pytest.mark.parametrize("form", ["white", "pink"])

@@ -1,10 +1,11 @@
 """The table of observables: fixed names, states of traces, parts of the field."""
 
 import numpy as np
+import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.observe import PARTS, checkerboard, observe
-from napari_mufasa.observe.summary import OnStates, _gap_lengths
+from napari_mufasa.observe.summary import OnStates, _gap_lengths, _slope
 from napari_mufasa.observe.table import Table
 
 
@@ -61,3 +62,13 @@ def test_table_keeps_order_and_never_holds_nan():
     table.count("c", 9.0, "t", "w")
     assert table.values == {"a": 0.0, "b": 1.0, "c": 3.0}
     assert table.meanings["b"].unit == "ln"
+
+
+def test_expansion_is_not_ruled_by_one_spot_that_jumped():
+    """Thirty spots of a field that grows by 2 %, one of them displaced by 40 pixels."""
+    rng = np.random.default_rng(0)
+    place = rng.uniform(-30, 30, 60)
+    moved = 0.02 * place + 0.02 * rng.standard_normal(60)
+    moved[7] += 40
+    assert _slope(place, moved) == pytest.approx(0.02, abs=0.001)
+    assert _slope(np.zeros(0), np.zeros(0)) == 0.0
