@@ -33,8 +33,9 @@ WORKERS = max(1, min(4, os.cpu_count() or 1))
 
 def denoise(
     movie: Any,
-    camera: Camera,
+    camera: Camera | None = None,
     *,
+    dark: Any = None,
     method: Method = "pure-let-movie",
     excess_noise: bool = True,
     progress: Callable[[int, int], None] | None = None,
@@ -48,8 +49,11 @@ def denoise(
     movie : array (frame, y, x) or (y, x), ADU
         numpy, dask or zarr; read in blocks of `BLOCK` frames and their neighbours. Peak memory: about 60 float32
         frames per block plus 60 per worker thread (4 at most), and the result unless ``out`` is on disk.
-    camera : Camera
-        Gain, read noise, baseline, quantum efficiency and maps.
+    camera : Camera, optional
+        Gain, read noise, baseline, quantum efficiency and maps. Without one they are measured on the movie and
+        ``dark`` (`napari_mufasa.calibrate`, an EMCCD assumed): say what you know with a camera of your own.
+    dark : array (frame, y, x), optional
+        Dark frames, for the measurement of a camera that is not given.
     method : str
         "pure-let-movie": mixed-noise PURE-LET with neighbouring frames as predictors; "pure-let": the same, frame by
         frame; "pure-let-patches": each frame by itself, like patches filtered together: the best for single frames,
@@ -70,7 +74,8 @@ def denoise(
     Raises
     ------
     MufasaError
-        Wrong number of dimensions, an empty movie, values that are not finite, maps of another shape.
+        Wrong number of dimensions, an empty movie, values that are not finite, maps of another shape; no camera and
+        a movie that shows none.
     Cancelled
         ``cancel`` returned True.
     """
@@ -78,6 +83,8 @@ def denoise(
         raise MufasaError(f"method is {method!r}; choose one of {', '.join(get_args(Method))}")
     from napari_mufasa.model import Camera
 
+    if camera is None:
+        camera = measured_camera(movie, dark, cancel)
     need(camera, Camera, "camera", "give model.camera")
     shape = tuple(getattr(movie, "shape", np.shape(movie)))
     if len(shape) == 2:
@@ -100,6 +107,16 @@ def denoise(
     return result
 
 
+def measured_camera(movie: Any, dark: Any = None, cancel: Callable[[], bool] | None = None) -> Camera:
+    """An EMCCD's baseline, read noise and gain, measured on the movie and its dark frames."""
+    from napari_mufasa.calibrate import calibrate
+
+    try:
+        return calibrate(movie, dark, camera_type="EMCCD", cancel=cancel).camera
+    except MufasaError as error:
+        raise MufasaError(f"no camera was given and it cannot be measured: {error}") from None
+
+
 def _stop_if(cancel: Callable[[], bool] | None) -> None:
     if cancel is not None and cancel():
         raise Cancelled("denoising was cancelled")
@@ -114,6 +131,7 @@ class _Frames:
         self.alpha = cam.multiplication_noise(camera) if self.multiplied else 1.0
         self.weights: Array | None = None
         self.way = 0.0
+        self.gain_db = 0.0
         from .temporal import NEIGHBOURS
 
         self.neighbours = NEIGHBOURS if method == "pure-let-movie" and shape[0] > 1 else 0
@@ -140,8 +158,9 @@ class _Frames:
         """Weights of least pooled risk over frames spread evenly through the movie."""
         if self.method in ("source", "none"):
             return
+        from .let import learn
         from .purelet import LEVELS
-        from .temporal import chosen_weights, sample_frames, sample_systems, sample_windows
+        from .temporal import sample_frames, sample_systems, sample_windows
 
         chosen = sample_frames(self.shape[0], SAMPLES)
 
@@ -155,7 +174,11 @@ class _Frames:
 
         with ThreadPoolExecutor(max_workers=WORKERS) as pool:
             parts = [part for found in pool.map(systems, range(len(chosen)), chosen) for part in found]
-        self.weights = chosen_weights(parts)
+        if parts:
+            weights, risk, untouched = learn(parts)
+            if risk < untouched:
+                self.weights = weights
+                self.gain_db = float(10 * np.log10(untouched / max(risk, 1e-3 * untouched)))
         if self.method == "pure-let-patches" and self.weights is not None:
             self.way = float(np.mean([self._way(t, cancel) for t in sample_frames(self.shape[0], PATCH_SAMPLES)]))
 
