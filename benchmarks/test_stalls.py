@@ -245,9 +245,9 @@ def story(viewer, workflow, path, heart, prefix, slow_cancels) -> None:
     panel.suspects.none_button.click()
     for row in range(panel.suspects.list.count()):
         item = panel.suspects.list.item(row)
-        if item.data(Qt.ItemDataRole.UserRole) in ("stage_drift", "laser_drift"):
+        if item.data(Qt.ItemDataRole.UserRole) == "stage_drift":
             item.setCheckState(Qt.CheckState.Checked)
-    press(panel, "discover", LONGEST_S if viewer.layers[0].data.shape[0] > 500 else 150)
+    press(panel, "discover", 200 if prefix.startswith("small") else LONGEST_S)
     if panel.report is not None:
         with heart.during(prefix + "look at the report"):
             for row in range(min(4, panel.where.failing.rowCount())):

@@ -68,6 +68,7 @@ def story(viewer: Any, workflow: Any) -> Iterator[str]:
     """The workflow on the hidden-effect sample; yields the name of each picture when it is ready."""
     data = workflow.step("Data")
     data.sample_button.click()
+    finish(data)
     pump(0.8)
     yield "1-data"
     workflow.show_step(1)
@@ -92,6 +93,11 @@ def story(viewer: Any, workflow: Any) -> Iterator[str]:
     yield "6-compare"
     compare.tabs.setCurrentIndex(1)
     yield "6-compare-distributions"
+    compare.tabs.setCurrentWidget(compare.live)
+    settle(workflow)
+    yield "6-compare-live"
+    compare.tabs.setCurrentWidget(compare.traces)
+    yield "6-compare-traces"
     yield from discover(workflow)
 
 
@@ -99,14 +105,33 @@ def discover(workflow: Any) -> Iterator[str]:
     workflow.show_step(6)
     panel = workflow.step("Discover")
     press(panel)
+    show_a_map(panel)
     yield "7-discover-where"
+    panel.where.in_image.setChecked(False)
     panel.tabs.setCurrentIndex(1)
     yield "7-discover-what"
-    if panel.add_button.isEnabled():
-        panel.add_button.click()
+    if panel.what.add_button.isEnabled():
+        panel.what.add_button.click()
         finish(panel)
     panel.tabs.setCurrentIndex(2)
     yield "7-discover-error"
+
+
+def show_a_map(panel: Any) -> None:
+    """Choose the first observable whose place is a map of the field."""
+    for row in range(panel.where.failing.rowCount()):
+        panel.where.failing.selectRow(row)
+        pump(0.1)
+        if panel.layers.map is not None and panel.layers.map.visible:
+            return
+    panel.where.failing.selectRow(0)
+
+
+def settle(workflow: Any) -> None:
+    """Wait for the live distance."""
+    pump(0.4)
+    while workflow.session.live.busy:
+        pump(0.05)
 
 
 def simulate(viewer: Any, dock: Any) -> Iterator[str]:
@@ -124,6 +149,7 @@ def simulate(viewer: Any, dock: Any) -> Iterator[str]:
 def real(viewer: Any, workflow: Any) -> Iterator[str]:
     """The real movie: opened, molecules found, one clicked."""
     workflow.step("Data").open_movie(str(REAL_MOVIE))
+    finish(workflow.step("Data"))
     workflow.step("Model").source.open_file(str(REAL_MODEL))
     workflow.step("Data").use_scale.click()
     workflow.show_step(3)
@@ -135,6 +161,15 @@ def real(viewer: Any, workflow: Any) -> Iterator[str]:
     pump(0.6)
     click_molecule(viewer, panel, int(good[-1]))
     yield "real-movie"
+
+
+def drawn(dock: Any) -> None:
+    """Wait for the plots, which are drawn in a thread."""
+    from napari_mufasa.widgets.plot import PlotCanvas
+
+    while any(canvas.busy for canvas in dock.findChildren(PlotCanvas)):
+        pump(0.05)
+    pump(0.1)
 
 
 def compress(path: Path) -> None:
@@ -186,6 +221,7 @@ def main() -> int:
             for theme in ("dark", "light") if args.theme is None else (args.theme,):
                 viewer.theme = theme
                 pump(0.7)
+                drawn(panel)
                 path = args.out / f"{shot}-{theme}.png"
                 viewer.screenshot(str(path), canvas_only=False, flash=False)
                 compress(path)

@@ -99,6 +99,7 @@ class DataPanel(Panel):
     def _add(self, found: list[Any]) -> None:
         added = [self.viewer.add_image(data, **options) for data, options, _ in found]
         self._take(next(layer for layer in added if stored(layer, "role") != "dark frames"))
+        self.viewer.dims.set_point(0, 0)
 
     def refresh(self) -> None:
         layer = self.session.movie_layer
