@@ -151,7 +151,7 @@ def traces(
         figures.Drawing(
             "molecules", "", (5.4, 5.0), lambda f: plotting.molecules(f.add_subplot(), picture, found.molecules)
         ),
-        figures.Drawing("traces", "", (7.2, 5.4), lambda f: plotting.contact_sheet(f, found.traces, kept)),
+        figures.Drawing("traces", "", (7.2, 6.2), lambda f: plotting.contact_sheet(f, found.traces, kept, most=24)),
     ]
     with console.folder(out) as folder:
         trace_files.write_traces(folder, found, hdf5=hdf5)
