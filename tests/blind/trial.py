@@ -32,6 +32,32 @@ PAIRS = (
 )  # fmt: skip
 
 
+# Parameters that the catalogue and the generator mean alike, in the generator's first form of each effect.
+SAME_MEANING = {
+    "triplet_blinking": {"off_rate_per_s": "to_dark_rate_per_s", "dark_time_s": "mean_dark_s"},
+    "long_dark_state": {"off_rate_per_s": "to_dark_rate_per_s", "dark_time_s": "mean_dark_s"},
+    "photobleaching": {"rate_per_s": "bleaching_rate_per_s"},
+    "delayed_activation": {"fraction": "inactive_fraction", "activation_rate_per_s": "activation_rate_per_s"},
+    "brightness_heterogeneity": {"spread": "cv_in_this_movie"},
+    "multiple_emitters": {"fraction": "multiple_fraction"},
+    "laser_drift": {"change": "relative_change"},
+    "laser_flicker": {"rms": "rms"},
+    "periodic_modulation": {"amplitude": "amplitude", "period_frames": "period_frames"},
+    "stage_drift": {"distance_px": "total_px"},
+    "focus_drift": {"widening": "relative_widening"},
+    "background_decay": {"fraction": "relative_loss"},
+    "em_excess_noise": {"excess_noise_factor": "excess_noise_factor"},
+    "clock_induced_charge": {"electrons": "extra_e_per_px"},
+    "pixel_gain_variation": {"rms": "gain_sd"},
+    "column_offset": {"rms_adu": "rms_adu"},
+    "row_noise": {"rms_adu": "rms_adu"},
+    "hot_pixels": {"fraction": "fraction"},
+    "image_lag": {"fraction": "lag_fraction"},
+    "baseline_drift": {"drift_adu": "change_adu"},
+    "cosmic_rays": {"hits_per_frame": "hits_per_frame"},
+}
+
+
 def cases(seeds: int, nulls: int, groups: set[str]) -> Iterator[dict[str, Any]]:
     """All cases, seed by seed, so that a trial cut short is still balanced."""
     for seed in range(seeds):
@@ -71,7 +97,23 @@ def run(case: dict[str, Any], base: str | None) -> dict[str, Any]:
         "error": {k: v for k, v in report.error.items() if k != "unit"},
         "seconds": report.seconds,
         "z": [f["observable"] for f in report.failing[:5]],
+        "pulls": pulls(hidden.truth["effects"], report),
     }
+
+
+def pulls(truths: list[dict[str, Any]], report: Any) -> dict[str, float]:
+    """(found − true) / stated sd of the parameters of effects rightly added, where both mean the same."""
+    found = {c.effect: c for c in report.ranking if c.effect in report.chosen}
+    result = {}
+    for truth in truths:
+        if truth["kind"] not in found or truth["form_index"] != 0:
+            continue
+        candidate = found[truth["kind"]]
+        for name, its_name in SAME_MEANING.get(truth["kind"], {}).items():
+            if name in candidate.parameters_sd:
+                off = candidate.parameters[name] - truth["parameters"][its_name]
+                result[f"{truth['kind']}.{name}"] = off / candidate.parameters_sd[name]
+    return result
 
 
 def summary(results: list[dict[str, Any]]) -> str:
@@ -103,6 +145,10 @@ def summary(results: list[dict[str, Any]]) -> str:
     if groups["pair"]:
         both = lambda r: {k for k, _ in r["effects"]} <= set(r["chosen"])  # noqa: E731
         lines.append(f"| two effects: both named | {rate(groups['pair'], both)} |")
+    pulled = [pull for r in results for pull in r.get("pulls", {}).values()]
+    if pulled:
+        inside = sum(abs(pull) <= 1.96 for pull in pulled)
+        lines.append(f"| parameters within 95 % | {inside} / {len(pulled)} ({inside / len(pulled):.0%}) |")
     lines += ["", "| hidden | cases | first | chosen | error before → after (floor) |", "|---|---|---|---|---|"]
     table = defaultdict(list)
     for r in results:
