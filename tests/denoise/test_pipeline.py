@@ -171,3 +171,39 @@ def test_pure_let_movie_beats_single_frames():
     multi = np.mean((pure_let_movie(y) - truth) ** 2)
     single = np.mean((pure_let_movie(y, neighbours=0) - truth) ** 2)
     assert multi < 0.6 * single
+
+
+def test_without_a_camera_it_is_measured_on_the_movie_and_its_dark_frames():
+    # Still light of 2 to 12 photons: photon transfer finds ADU per photoelectron to a few per cent.
+    rng = np.random.default_rng(15)
+    truth = np.broadcast_to(np.linspace(2, 12, 64)[None, None, :], (60, 64, 64))
+    movie, dark = record(truth, EMCCD, rng), record(np.zeros((40, 64, 64)), EMCCD, rng)
+    out = nm.denoise(movie, dark=dark)
+    assert out.mean() / truth.mean() == pytest.approx(1.0, abs=0.08)
+    with pytest.raises(MufasaError, match="no camera was given"):
+        nm.denoise(movie[:2])
+
+
+def test_a_preview_is_the_frame_before_and_after():
+    from napari_mufasa.denoise.preview import Preview
+
+    rng = np.random.default_rng(16)
+    truth = blobs(30) * 5
+    movie = record(truth, EMCCD, rng)
+    preview = Preview(movie, EMCCD)
+    look = preview.look(12)
+    np.testing.assert_allclose(look.before, nm.denoise(movie[12:13], EMCCD, method="none")[0], rtol=1e-6)
+    np.testing.assert_allclose(look.residual, look.before - look.after)
+    np.testing.assert_array_equal(look.split(0.25)[:, :18], look.before[:, :18])
+    np.testing.assert_array_equal(look.split(0.25)[:, 18:], look.after[:, 18:])
+    before, after = (np.mean((plane - truth[12]) ** 2) for plane in (look.before, look.after))
+    # The gain of one frame scatters around that of the movie by about 1 dB.
+    assert 10 * np.log10(before / after) == pytest.approx(preview.gain_db, abs=4)
+
+
+def test_like_patches_are_no_worse_than_frames_alone():
+    rng = np.random.default_rng(17)
+    truth = blobs(4) * 15
+    movie = record(truth, EMCCD, rng)
+    error = {m: np.mean((nm.denoise(movie, EMCCD, method=m) - truth) ** 2) for m in ("pure-let", "pure-let-patches")}
+    assert error["pure-let-patches"] < 1.02 * error["pure-let"]

@@ -62,6 +62,9 @@ class PreviewBox(QWidget):
         """Ask for the frame in view, if the preview is on."""
         if not self.switch.isChecked():
             return
+        if self._ready is not None and self.session.movie_layer is None:
+            self.switch.setChecked(False)  # the movie was removed, or the viewer is closing
+            return
         try:
             measurement = self.session.measurement().recorded()
         except MufasaError as error:

@@ -1,0 +1,95 @@
+"""What past and future show: averages as long as nothing changes, cut where something does, never the frame itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from napari_mufasa.denoise import let, pure_let_movie, still
+
+NOISE = let.Noise(1.0, np.float32(0.25))
+
+
+def seen(data, noise=NOISE, most=24):
+    return {t: (plane, relative) for t, plane, relative in still.past_and_future(data, 0, len(data), noise, most)}
+
+
+def recorded(truth, rng):
+    return (rng.poisson(truth) + rng.normal(0, 0.5, truth.shape)).astype(np.float32)
+
+
+def test_smoothing_keeps_constants_and_leaves_the_stated_share_of_noise():
+    np.testing.assert_allclose(still.smooth(np.full((5, 3), 7.0, np.float32)), 7.0, rtol=1e-6)
+    np.testing.assert_allclose(still.smooth(np.full((1, 9), 7.0, np.float32)), 7.0, rtol=1e-6)
+    white = np.random.default_rng(0).normal(0, 1, (300, 300)).astype(np.float32)
+    # Neighbouring values share pixels: about 90 000 / 15 independent ones, a standard error of 2 % in the variance.
+    assert still.smooth(white)[3:-3, 3:-3].var() == pytest.approx(still.SHARE, rel=0.08)
+
+
+def test_where_nothing_changes_the_noise_falls_with_the_number_of_frames():
+    rng = np.random.default_rng(1)
+    truth = np.full((60, 48, 48), 5.0)
+    planes = seen(recorded(truth, rng))
+    plane, relative = planes[30]
+    error = np.mean((plane - 5.0) ** 2)
+    # 24 frames on either side: the walk's weights make at least 30 of them; the stated variance is the true one
+    # within 40 % (false resets, counted pixels are alike within a smoothing width).
+    assert error < 5.25 / 30
+    assert error == pytest.approx(relative * 5.25, rel=0.4)
+
+
+def test_the_frame_itself_takes_no_part_where_nothing_changes():
+    rng = np.random.default_rng(2)
+    data = recorded(np.full((40, 32, 32), 20.0), rng)
+    other = data.copy()
+    other[20] = recorded(np.full((32, 32), 20.0), rng)
+    shown = seen(other)[20][0] - seen(data)[20][0]
+    changed = other[20] - data[20]
+    # Where past and future differ by chance the frame may choose between them; its share is that of no frame: with
+    # 1024 pixels of noise 1 and answers below 1/4 the standard error of the share is below 0.01.
+    assert abs(np.sum(shown * changed) / np.sum(changed**2)) < 0.04
+
+
+def test_a_step_is_kept_on_the_frame_it_happens():
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[:40, :40]
+    spot = 12.0 * np.exp(-((y - 20) ** 2 + (x - 20) ** 2) / (2 * 1.3**2))
+    truth = np.full((50, 40, 40), 1.0) + spot
+    truth[25:] = 1.0
+    planes = [seen(recorded(truth, rng)) for _ in range(12)]
+    level = {t: np.mean([p[t][0][20, 20] for p in planes]) for t in (10, 24, 25, 40)}
+    # 13 before, 1 after. A plain mean of the neighbours would say 7 in the frames next to the step. Four standard
+    # errors of 12 runs of single frames are 4 photoelectrons at most.
+    assert level[10] == pytest.approx(13.0, abs=1.0)
+    assert level[24] > 9.5
+    assert level[25] < 4.5
+    assert level[40] == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_bleaching_molecule_keeps_its_height():
+    # Mean height of the denoised step against the truth; 36 molecules, 5 photoelectrons at the peak.
+    rng = np.random.default_rng(4)
+    side, frames = 84, 60
+    y, x = np.mgrid[:side, :side]
+    grid = np.arange(7, side, 14)
+    bleach = rng.integers(15, frames - 15, grid.size**2)
+    truth = np.full((frames, side, side), 0.5)
+    centres = [(cy, cx) for cy in grid for cx in grid]
+    for (cy, cx), stop in zip(centres, bleach, strict=True):
+        truth[:stop] += 5.0 * np.exp(-((y - cy) ** 2 + (x - cx) ** 2) / (2 * 1.3**2))
+    out = pure_let_movie(recorded(truth, rng), 1.0, 0.5)
+
+    def height(stack):
+        sums = [stack[:, cy - 2 : cy + 3, cx - 2 : cx + 3].sum(axis=(1, 2)) for cy, cx in centres]
+        return np.mean([s[:stop].mean() - s[stop:].mean() for s, stop in zip(sums, bleach, strict=True)])
+
+    # Noise of the mean height: 0.4 %.
+    assert height(out) / height(truth) == pytest.approx(1.0, abs=0.04)
+
+
+def test_short_movies_have_a_past_or_a_future():
+    rng = np.random.default_rng(5)
+    for n in (2, 3):
+        planes = seen(recorded(np.full((n, 16, 16), 4.0), rng))
+        assert sorted(planes) == list(range(n))
+        assert all(np.isfinite(plane).all() and 0 < relative <= 1 for plane, relative in planes.values())
