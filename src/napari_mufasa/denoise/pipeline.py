@@ -47,8 +47,8 @@ def denoise(
     Parameters
     ----------
     movie : array (frame, y, x) or (y, x), ADU
-        numpy, dask or zarr; read in blocks of `BLOCK` frames and their neighbours. Peak memory: about 60 float32
-        frames per block plus 60 per worker thread (4 at most), and the result unless ``out`` is on disk.
+        numpy, dask or zarr; read in blocks of `BLOCK` frames and their neighbours. Peak memory: about 300 float32
+        frames for a block plus 60 per worker thread (4 at most), and the result unless ``out`` is on disk.
     camera : Camera, optional
         Gain, read noise, baseline, quantum efficiency and maps. Without one they are measured on the movie and
         ``dark`` (`napari_mufasa.calibrate`, an EMCCD assumed): say what you know with a camera of your own.
