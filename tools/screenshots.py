@@ -121,6 +121,7 @@ def show_a_map(panel: Any) -> None:
     """Choose the first observable whose place is a map of the field."""
     for row in range(panel.where.failing.rowCount()):
         panel.where.failing.selectRow(row)
+        panel.where.failing.cellClicked.emit(row, 0)
         pump(0.1)
         if panel.layers.map is not None and panel.layers.map.visible:
             return

@@ -10,8 +10,11 @@ import pytest
 from napari.utils.notifications import notification_manager
 
 from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.widgets.compare import ComparePanel
 from napari_mufasa.widgets.denoise import DenoisePanel
+from napari_mufasa.widgets.discover import DiscoverPanel
 from napari_mufasa.widgets.jobs import RunBar
+from napari_mufasa.widgets.molecules import MoleculesPanel
 
 
 @pytest.fixture
@@ -77,11 +80,33 @@ def test_error_is_a_notification_with_its_remedy(bar, qtbot):
 def test_layer_deleted_mid_run_does_not_matter(with_movie, qtbot, bright_movie):
     panel = DenoisePanel(with_movie)
     with_movie.window.add_dock_widget(panel)
-    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=240_000):
         panel.run_bar.run_button.click()
         with_movie.layers.clear()
     assert [layer.name for layer in with_movie.layers] == ["bright, photons"]
     assert panel.session.movie_layer is None or panel.session.movie_layer in with_movie.layers
+
+
+@pytest.mark.parametrize("kind", [MoleculesPanel, ComparePanel, DiscoverPanel])
+def test_layers_deleted_mid_run_never_crash_a_step(with_movie, qtbot, kind):
+    panel = kind(with_movie)
+    with_movie.window.add_dock_widget(panel)
+    panel.run_bar.run_button.click()
+    assert panel.run_bar.running
+    with_movie.layers.clear()
+    qtbot.wait(300)
+    start = time.monotonic()
+    if kind is DiscoverPanel:  # its run is long: cancelled, with its movie gone
+        with qtbot.waitSignal(panel.run_bar.finished, timeout=5000):
+            panel.run_bar.cancel_button.click()
+        assert time.monotonic() - start < 1.0
+        return
+    qtbot.waitUntil(lambda: not panel.run_bar.running, timeout=60_000)
+    assert len(with_movie.layers) == 0
+    if kind is MoleculesPanel:
+        assert "was removed" in panel.run_bar.message.text()
+    else:
+        assert panel.comparison is not None
 
 
 def test_dock_closed_mid_run_does_not_matter(with_movie, qtbot):

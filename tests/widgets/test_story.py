@@ -79,7 +79,7 @@ def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_pat
     places = set()
     for row in range(panel.where.failing.rowCount()):
         panel.where.failing.selectRow(row)
-        panel.where.failing.itemSelectionChanged.emit()
+        panel.where.failing.cellClicked.emit(row, 0)
         assert panel.where.curve.drawn
         shown = [layer.name for layer in viewer.layers if layer.name.startswith("where: ") and layer.visible]
         assert len(shown) <= 1  # the place of the observable that is chosen, and no other

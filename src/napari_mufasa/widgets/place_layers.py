@@ -111,7 +111,9 @@ class PlaceLayers:
                 z, **space, units=movie.units, colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN),
                 metadata={METADATA_KEY: {"role": PLACE}},
             )  # fmt: skip
-            self.viewer.layers.selection.active = movie
+            layers = self.viewer.layers
+            layers.move(layers.index(layer), layers.index(movie) + 1)  # below the molecules
+            layers.selection.active = movie
         else:
             layer.data = z
             for key, value in space.items():

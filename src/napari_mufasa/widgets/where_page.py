@@ -33,6 +33,7 @@ class WherePage(QWidget):
         self.failing = table(["What is measured", "z before", "z now"])
         self.failing.setAccessibleName("Observables that the model misses")
         self.failing.itemSelectionChanged.connect(self._on_selected)
+        self.failing.cellClicked.connect(lambda *_: self._on_selected())  # the row may be selected already
         self.curve = PlotCanvas(viewer, "Click an observable to see it measured and as the model has it.", 240)
         self.in_image = QCheckBox("show its place in the image")
         self.in_image.setToolTip(
