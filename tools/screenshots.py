@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 REAL_MOVIE = ROOT.parent / "shared" / "data" / "smfret_ixon_emccd.tif"
 REAL_MODEL = ROOT / "docs" / "models" / "smfret_ixon.json"
 MAX_BYTES = 250_000
+SUSPECTS: list[str] = []
 
 
 def pump(seconds: float = 0.4) -> None:
@@ -104,6 +105,8 @@ def story(viewer: Any, workflow: Any) -> Iterator[str]:
 def discover(workflow: Any) -> Iterator[str]:
     workflow.show_step(6)
     panel = workflow.step("Discover")
+    if SUSPECTS:
+        choose_suspects(panel.suspects)
     press(panel)
     show_a_map(panel)
     yield "7-discover-where"
@@ -115,6 +118,17 @@ def discover(workflow: Any) -> Iterator[str]:
         finish(panel)
     panel.tabs.setCurrentIndex(2)
     yield "7-discover-error"
+
+
+def choose_suspects(suspects: Any) -> None:
+    """Tick those that were named on the command line, and no other."""
+    from qtpy.QtCore import Qt
+
+    suspects.none_button.click()
+    for row in range(suspects.list.count()):
+        item = suspects.list.item(row)
+        if item.data(Qt.ItemDataRole.UserRole) in SUSPECTS:
+            item.setCheckState(Qt.CheckState.Checked)
 
 
 def show_a_map(panel: Any) -> None:
@@ -195,7 +209,9 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
     parser.add_argument("--only", nargs="*", choices=["story", "simulate", "real"], default=[])
     parser.add_argument("--theme", choices=["dark", "light"])
+    parser.add_argument("--suspects", nargs="*", default=[], help="effects to consider in step Discover (all)")
     args = parser.parse_args()
+    SUSPECTS.extend(args.suspects)
     home = tempfile.mkdtemp()
     for name in ("XDG_CONFIG_HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME"):
         os.environ[name] = home  # nobody's settings in the pictures
