@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.report_example import MODEL
+from tests.spec_example import MODEL
 
 from napari_mufasa import MufasaError, camera, compare, preset, simulate, simulate_emission
 from napari_mufasa.design import predict, sweep

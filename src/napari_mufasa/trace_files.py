@@ -211,6 +211,8 @@ def _read_hdf5(path: Path, channel: Channel) -> TraceFile:
         values = np.asarray(found[name], dtype=np.float64)
         said = found[name].attrs.get("unit")
         ids = np.asarray(file["molecule"]) if "molecule" in file else np.arange(len(values))
+    if ids.shape != (len(values),):
+        raise MufasaError(f"{path} has {ids.size} molecule ids for {len(values)} traces: needs one for each")
     return TraceFile(values, _unit(said, "photoelectrons"), ids.astype(np.int64), path)
 
 

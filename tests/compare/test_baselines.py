@@ -8,9 +8,11 @@ import pytest
 import napari_mufasa as nm
 from napari_mufasa.compare.baselines import (
     TwoState,
+    largest_of_a_trace,
     poisson_emission,
     poisson_mean_photons,
     sofi_emission,
+    tool_defaults,
     two_state_of,
 )
 from napari_mufasa.compare.distributions import dwell_frames
@@ -69,3 +71,19 @@ def test_time_scales_come_from_the_chain():
     late = two_state_of(nm.preset("PALM"), 5.0)
     assert late.off_s == pytest.approx(1.0, rel=1e-6)
     assert late.start_on == 0.0
+
+
+def test_on_intensity_does_not_grow_with_the_number_of_traces():
+    rng = np.random.default_rng(5)
+    few, many = (largest_of_a_trace(rng.poisson(10.5, (n, 50))) for n in (200, 5000))
+    # The largest of 50 Poisson values of mean 10.5 has a spread of 1.8: 4 standard errors of the mean of 200.
+    assert few == pytest.approx(many, abs=0.55)
+    assert largest_of_a_trace(np.array([[0, 0], [3, 7]])) == 7.0  # a molecule that never emits says nothing
+    assert largest_of_a_trace(np.zeros((3, 4), int)) == 0.0
+
+
+def test_the_tools_own_times():
+    emission = sofi_emission(tool_defaults(9.0), 3000, 200, 0.01, 0.01, np.random.default_rng(6))
+    # On for a third of the time from the start; 2 s of 80 s to bleach, on a third of them.
+    assert emission.mean() == pytest.approx(3.0 * (1 - 2 / 80 / 3 / 2), rel=0.03)
+    assert emission[:, 0].mean() == pytest.approx(3.0, rel=0.1)

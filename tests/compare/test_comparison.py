@@ -10,7 +10,13 @@ import pytest
 from tests.blind import generator
 
 import napari_mufasa as nm
-from napari_mufasa.compare import compare_movie, compare_traces, distributions, to_photoelectrons
+from napari_mufasa.compare import (
+    compare_movie,
+    compare_traces,
+    difference_interval,
+    distributions,
+    to_photoelectrons,
+)
 from napari_mufasa.compare.distributions import Sample, autocorrelation, dwell_frames
 from napari_mufasa.io import write_json
 from napari_mufasa.trace_files import read_traces
@@ -108,6 +114,58 @@ def test_one_pixel_traces_equal_those_of_a_movie():
     assert wasserstein(one, other) < 2 * floor(one).value
 
 
+@pytest.mark.parametrize("camera", ["emccd", "cmos"])
+@pytest.mark.parametrize(
+    ("profile", "subtracted"), [("psf", True), ("sum", True), ("brightest_pixel", True), ("psf", False)]
+)
+def test_traces_without_images_equal_those_of_images(camera, profile, subtracted):
+    """The quick way against movies and extraction: level, noise, and distribution."""
+    from napari_mufasa.compare import floor, wasserstein
+    from napari_mufasa.compare.simulated import FarApart
+    from napari_mufasa.traces import Options
+
+    model = nm.Model.from_dict(generator.base_model(camera)).with_values({"acquisition.n_frames": 60})
+    options = Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=subtracted)
+    quick = FarApart(model.sigma_px, 100, options, 3, quick=True)
+    slow = FarApart(model.sigma_px, 100, options, 3)
+    one = quick.traces(quick.acquisition(model, 5))
+    two = slow.traces(slow.acquisition(model, 6))
+    noise = [float(np.mean(traces.std(axis=1))) for traces in (one, two)]
+    assert abs(one.mean() - two.mean()) < 0.04 * noise[1] + 0.01 * two.mean()
+    assert noise[0] == pytest.approx(noise[1], rel=0.05)
+    assert wasserstein(one, two) < 2.5 * floor(two).value
+
+
+def test_a_live_distance_takes_well_under_a_second():
+    """What the viewer does when a parameter changes: simulate, W1, floor."""
+    import time
+
+    from napari_mufasa.compare import floor, wasserstein
+    from napari_mufasa.compare.simulated import FarApart
+    from napari_mufasa.traces import Options
+
+    model = nm.Model.from_dict(generator.base_model("emccd"))
+    field = FarApart(model.sigma_px, 200, Options(psf_sigma_px=model.sigma_px), 3, quick=True)
+    measured = field.traces(field.acquisition(model, 1))
+    start = time.process_time()
+    w1 = wasserstein(measured, field.traces(field.acquisition(model, 2)))
+    lowest = floor(measured).value
+    assert time.process_time() - start < 1.0
+    assert w1 < 2 * lowest
+
+
+def test_progress_and_stop_of_a_comparison_of_traces():
+    model = nm.Model.from_dict(generator.base_model("emccd"))
+    traces = np.random.default_rng(0).normal(100, 25, (20, 30))
+    seen: list[tuple[int, int]] = []
+    compare_traces(traces, model, n_simulated=30, n_bootstrap=2, progress=lambda *p: seen.append(p))
+    assert seen == [(i, 5) for i in range(1, 6)]
+    with pytest.raises(nm.Cancelled):
+        compare_traces(traces, model, n_simulated=30, cancel=lambda: True)
+    with pytest.raises(nm.MufasaError, match="sofi_times"):
+        compare_traces(traces, model, n_simulated=30, sofi_times="mine")
+
+
 def test_autocorrelation_of_known_noise():
     rng = np.random.default_rng(0)
     white = rng.normal(size=(200, 400))
@@ -162,9 +220,18 @@ def test_real_egfp_traces_order_and_fit():
         pytest.skip(f"no {path}")
     traces, unit = read_traces(path)
     model = nm.Model.from_json(MODELS / "egfp.json").with_values({"fluorophore.quantum_yield": 1.0})
-    found = compare_traces(
-        traces, model, unit=unit, profile="brightest_pixel", background_subtracted=False, pixel_share=1.0,
-        n_simulated=500, n_bootstrap=10,
-    )  # fmt: skip
-    assert found.w1["mufasa"] < found.w1["poisson"] < found.w1["sofi"]
+    adu = model.camera.em_gain / model.camera.electrons_per_adu
+    shared = {"unit": unit, "profile": "brightest_pixel", "background_subtracted": False, "pixel_share": 1.0}
+    found = compare_traces(traces, model, n_simulated=500, n_bootstrap=10, sofi_times="tool", **shared)
+    shown = {name: sample.traces for name, sample in found.samples.items()}
+    for near, far in (("mufasa", "poisson"), ("poisson", "sofi")):
+        assert difference_interval(shown["measured"], shown[near], shown[far])[1] < 0
+    for name, source in (("mufasa", 2263), ("poisson", 2269), ("sofi", 3065)):
+        assert found.w1[name] * adu == pytest.approx(source, rel=0.15)
     assert found.w1["fitted"] < 0.2 * found.w1["mufasa"]
+    few = compare_traces(
+        traces, model, n_simulated=500, n_bootstrap=10, sofi_times="tool", window=50, best=20, **shared
+    )
+    shown = {name: sample.traces for name, sample in few.samples.items()}
+    assert difference_interval(shown["measured"], shown["poisson"], shown["sofi"])[1] < 0
+    assert few.w1["fitted"] < 1.5 * few.w1["floor"]

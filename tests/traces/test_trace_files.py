@@ -26,6 +26,43 @@ def test_traces_come_back(tmp_path, suffix):
         assert list(found.molecules) == [3, 4, 5, 6, 7, 8]
 
 
+def test_a_whole_extraction_in_one_hdf5_file(tmp_path):
+    import h5py
+    from tests.blind import generator
+
+    import napari_mufasa as nm
+    from napari_mufasa.trace_files import write_traces
+
+    model = nm.Model.from_dict(generator.base_model("emccd")).with_values({"acquisition.n_frames": 40})
+    places = np.array([[20.2, 30.1], [60.0, 60.4], [62.0, 60.4]])  # one alone, two too near to each other
+    found = nm.extract_traces(nm.simulate(model, places, seed=1).movie, model.camera, psf_sigma_px=model.sigma_px)
+    write_traces(tmp_path, found, hdf5=True)
+    whole, table = read_trace_file(tmp_path / "traces.h5"), read_trace_file(tmp_path / "traces.csv")
+    np.testing.assert_array_equal(whole.traces, found.traces)
+    np.testing.assert_allclose(table.traces, found.traces, atol=1e-3)
+    assert list(whole.molecules) == list(table.molecules) == list(found.molecules["molecule"][found.kept])
+    assert whole.unit == table.unit == "photoelectrons"
+    with h5py.File(tmp_path / "traces.h5") as file:
+        np.testing.assert_array_equal(file["all_traces"], found.all_traces)
+        np.testing.assert_array_equal(file["molecules/y_px"], found.molecules["y_px"])
+        assert [r.decode() for r in file["molecules/reason"]] == list(found.molecules["reason"])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["molecules.csv", "traces.csv", "traces.h5"]
+
+
+def test_bad_hdf5_is_named(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "two.h5", "w") as file:
+        file["a"], file["b"] = np.zeros((2, 3)), np.zeros((2, 3))
+    with h5py.File(tmp_path / "words.h5", "w") as file:
+        file["traces"] = np.array([[b"x", b"y"]])
+    with h5py.File(tmp_path / "ids.h5", "w") as file:
+        file["traces"], file["molecule"] = np.zeros((2, 3)), np.arange(5)
+    for name, word in (("two", "one named 'traces'"), ("words", "readable"), ("ids", "5 molecule ids for 2 traces")):
+        with pytest.raises(MufasaError, match=word):
+            read_trace_file(tmp_path / f"{name}.h5")
+
+
 def test_whole_numbers_in_a_tiff_are_adu(tmp_path):
     import tifffile
 
@@ -56,6 +93,9 @@ def test_fret_traces(tmp_path):
         ("a.csv", "molecule,frame,photons\n0,0,1\n0,0,2\n", "once"),
         ("a.csv", "molecule,frame,photons\n", "no trace"),
         ("a.csv", "molecule,frame,photons\n0,0,nan\n", "finite"),
+        ("a.csv", "molecule,frame,photons\n0,0,bright\n", "readable"),
+        ("a.csv", "", "readable"),
+        ("a.h5", "no hdf5", "readable"),
         ("a.traces", "xxxxxxxxxx", "damaged"),
         ("a.tif", "no tiff", "readable"),
         ("a.doc", "", "use one of"),
