@@ -15,7 +15,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import typer
-from tests.report_example import MODEL, report
+from tests.report_example import report
+from tests.spec_example import MODEL
 
 import napari_mufasa as nm
 from napari_mufasa import io
@@ -219,6 +220,40 @@ def test_window_and_best_cut_the_traces(cli, model_file, tmp_path):
     assert (first == molecules.loc[first.index, "window_start"]).all()
 
 
+def test_what_a_trace_holds_and_which_are_kept_are_options(cli, movie_file, model_file, tmp_path):
+    shared = ("traces", movie_file, "--model", model_file)
+    assert cli(*shared, "--profile", "brightest_pixel", "--follow-drift", "--hdf5", "--out", tmp_path / "one")[0] == 0
+    assert cli(*shared, "--with-background", "--max-steps", 0, "--min-snr", 2, "--out", tmp_path / "two")[0] == 0
+    assert cli(*shared, "--threshold", "percentile", "--threshold-value", 99.95, "--out", tmp_path / "three")[0] == 0
+    one, two = (pd.read_csv(tmp_path / name / "traces.csv") for name in ("one", "two"))
+    assert "traces.h5" in leftovers(tmp_path / "one") and "traces.h5" not in leftovers(tmp_path / "two")
+    whole = pd.read_csv(tmp_path / "two/molecules.csv")
+    kept = whole[whole["kept"]]
+    assert len(kept) and (kept["n_steps"] == 0).all() and (kept["snr"] >= 2).all()
+    # One pixel of a spot 1.27 px wide holds 9 % of it; nine photoelectrons of background fill a whole spot's weights.
+    assert one["photoelectrons"].mean() < 0.2 * kept["brightness"].mean() < two["photoelectrons"].mean()
+    assert len(pd.read_csv(tmp_path / "three/molecules.csv")) < len(whole)
+
+
+def test_diagnose_takes_a_table_of_traces(cli, model_file, tmp_path, monkeypatch):
+    from napari_mufasa.compare.simulated import FarApart
+    from napari_mufasa.discover import traces_alone
+    from napari_mufasa.trace_files import write_trace_file
+    from napari_mufasa.traces import Options
+
+    monkeypatch.setattr(traces_alone, "candidate_kinds", lambda model: ["photobleaching"])
+    model = Model.from_json(model_file)
+    hidden = model.with_values({"effects": [{"kind": "photobleaching", "rate_per_s": 0.5}]})
+    field = FarApart(model.sigma_px, 80, Options(psf_sigma_px=model.sigma_px), 1, quick=True)
+    write_trace_file(tmp_path / "t.csv", field.traces(field.acquisition(hidden, 1)))
+    code, out, _ = cli("diagnose", tmp_path / "t.csv", "--traces", "--model", model_file, "--out", tmp_path / "d")
+    assert code == 0 and "verdict: missing_effect (photobleaching)" in out
+    assert leftovers(tmp_path / "d") == ["distributions.png", "model.json", "report.json", "traces.png"]
+    report = json.loads((tmp_path / "d/report.json").read_text())
+    assert Model.from_json(tmp_path / "d/model.json") == Model.from_dict(report["model"])
+    assert report["ranking"][0]["parameters"]["rate_per_s"] == pytest.approx(0.5, rel=0.4)
+
+
 def test_compare_finds_the_true_model_nearer_than_a_wrong_one(cli, movie_file, model_file, tmp_path):
     Model.from_json(model_file).with_values({"excitation.power_density_w_per_cm2": 60}).to_json(tmp_path / "w.json")
     found = {}
@@ -346,6 +381,12 @@ BAD = {
     "not a model": (["diagnose", "MOVIE", "--model", "MOVIE", "--out", "OUT/d"], "not readable JSON"),
     "unknown method": (["denoise", "MOVIE", "--model", "MODEL", "--out", "OUT/d.tif", "--method", "magic"], "magic"),
     "movie and traces": (["compare", "MOVIE", "--traces", "MODEL", "--model", "MODEL", "--out", "OUT/c"], "either"),
+    "unit of a movie": (["compare", "MOVIE", "--unit", "adu", "--model", "MODEL", "--out", "OUT/c"], "--traces"),
+    "steps of traces": (
+        ["compare", "--traces", "MODEL", "--max-steps", "1", "--model", "MODEL", "--out", "OUT/c"], "--max-steps",
+    ),
+    "profile of a movie": (["diagnose", "MOVIE", "--profile", "psf", "--model", "MODEL", "--out", "OUT/c"], "--traces"),
+    "no trace table": (["diagnose", "MODEL", "--traces", "--model", "MODEL", "--out", "OUT/c"], "cannot read traces"),
     "not traces": (["compare", "--traces", "MODEL", "--model", "MODEL", "--out", "OUT/c"], "cannot read traces"),
     "out is a file": (["traces", "MOVIE", "--model", "MODEL", "--out", "MODEL"], "is a file"),
     "unknown effect to add": (["refine", "MOVIE", "--model", "MODEL", "--add", "magic", "--out", "OUT/d"], "magic"),

@@ -181,6 +181,34 @@ def test_drift_is_followed():
     assert abs(np.log(kept_light(fixed))) > 0.3  # the light wanders out of, or into, a fixed aperture
 
 
+@pytest.mark.parametrize(("camera", "seed"), [("emccd", 4), ("cmos", 5)])
+def test_a_moving_field_is_noticed_and_followed(camera, seed):
+    """Independent movies whose field moves by 3 to 4 px, curved and in one step; see what following is worth."""
+    strength = {"emccd": 1.0, "cmos": 0.7}[camera]
+    case = generator.make(
+        generator.base_model(camera), seed=seed, n_molecules=70, effects=[("stage_drift", strength)]
+    )  # fmt: skip
+    model = nm.Model.from_dict(case.believed)
+    truth = np.array(case.truth["positions_px"])
+    fixed, followed = (
+        extract_traces(case.movie, model.camera, case.dark, psf_sigma_px=model.sigma_px, follow_drift=follow)
+        for follow in (False, True)
+    )
+    assert "follow the drift" in fixed.notes[0] and followed.notes == ()
+    assert len(fixed.molecules) > 1.4 * len(truth)  # molecules count twice
+    assert len(followed.molecules) <= 1.05 * len(truth)
+    rows, _, distance = matched(followed.positions_px[followed.kept], truth)
+    assert len(rows) >= 0.85 * len(truth) > 1.5 * fixed.kept.sum()
+    assert np.sqrt(np.mean(distance**2)) < 0.35
+
+
+@pytest.mark.parametrize("effects", [[], [("molecule_diffusion", 0.7)], [("delayed_activation", 0.8)]])
+def test_a_field_at_rest_raises_no_alarm(effects):
+    case = generator.make(generator.base_model("emccd_bleach"), seed=1, n_molecules=40, effects=effects)
+    model = nm.Model.from_dict(case.believed)
+    assert extract_traces(case.movie, model.camera, case.dark, psf_sigma_px=model.sigma_px).notes == ()
+
+
 def _drift():
     from napari_mufasa.effects import effect_class
 
