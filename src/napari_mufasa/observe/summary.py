@@ -70,6 +70,11 @@ def _mean(values: Array, default: float = 0.0) -> float:
     return float(values.mean()) if values.size else default
 
 
+def _drawn_mean(values: Array, towards: float, weight: int = 8) -> float:
+    """Mean of a few events, drawn `towards` a usual value as if so many more had shown it: one event is no share."""
+    return float((values.sum() + weight * towards) / (len(values) + weight))
+
+
 def _quantile(values: Array, q: float, default: float = 0.0) -> float:
     """Nearest-rank quantile: a partition is much cheaper than `np.quantile`, and this runs hundreds of times."""
     if not values.size:
@@ -190,10 +195,12 @@ def _kinetics(table: Table, states: OnStates) -> None:
     ends = last < 1 - 3 * edge / frames
     before_end = (t > states.last[:, None] - 21) & (t <= states.last[:, None] - 3)
     last_level = (light * before_end).sum(axis=1) / np.maximum(before_end.sum(axis=1), 1) / top[:, 0]
-    table.add("last_level_mean", _mean(last_level[ends], 0.9), "level before the last step / top", "", "last steps")
+    table.add(
+        "last_level_mean", _drawn_mean(last_level[ends], 0.9), "level before the last step / top", "", "last steps"
+    )
     table.add(
         "last_level_low",
-        _mean((last_level[ends] < 0.65).astype(float)),
+        _drawn_mean((last_level[ends] < 0.65).astype(float), 0.0),
         "last steps from less than two thirds of the top",
         "",
         "last steps",
