@@ -300,8 +300,13 @@ def diagnose(
         best = inquiry.rank()[0]
         helps = inquiry.convincing(best)
         if helps:
+            before = inquiry.state.held_out_error(inquiry.x)
             inquiry.add(best)
-            inquiry.simplify()
+            helps = inquiry.state.held_out_error(inquiry.x) < before  # with more simulations still?
+            if helps:
+                inquiry.simplify()
+            else:
+                inquiry.undo()
         fitted_now = {c.effect: c for c in inquiry.ranking if c.effect in inquiry.chosen[-1:]}
         told = [fitted_now.get(c.effect, c) for c in told] or inquiry.ranking
         told = sorted(told, key=lambda c: c.effect not in inquiry.chosen[:1])
