@@ -87,6 +87,7 @@ def report(verdict: str = "missing_effect") -> Report:
         ],
         seconds=41.0,
         seed=1,
+        evidence_needed=12.0,
         detectable={"stage_drift": 0.3, "focus_drift": 0.1, "cosmic_rays": None},
         notes=["Fitted on frames 0–199, judged on frames 200–299."],
     )  # fmt: skip

@@ -49,7 +49,7 @@ def diagnosis_drawings(report: Report, traces: NDArray[Any] | None = None) -> li
         Drawing(
             "evidence", "How much of the misfit each effect explains.",
             (6.4, 1.0 + 0.36 * max(1, min(8, len(report.ranking)))),
-            lambda f: plotting.evidence(f.add_subplot(), report.ranking),
+            lambda f: plotting.evidence(f.add_subplot(), report.ranking, report.evidence_needed),
         ),
         Drawing(
             "observables", "The observables farthest from the base model, before and after.",

@@ -50,6 +50,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         curves=draw(inquiry.bench.measured, before, after, interval),
         seconds=inquiry.seconds,
         seed=inquiry.seed,
+        evidence_needed=inquiry.null.evidence_at(ALARM),
         detectable=detectable(inquiry) if verdict == "adequate" else {},
         notes=[*inquiry.measurement.notes, *_notes(inquiry, verdict, table)],
     )

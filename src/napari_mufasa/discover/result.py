@@ -79,6 +79,7 @@ class Report:
     observables : table of all observables: observable, title, unit, where, measured, sd, before, after,
         z_before, z_after
     curves : what to draw
+    evidence_needed : what the best effect must bring for an alarm (a chance of 2 % when nothing is missing)
     detectable : for each effect, the smallest strength this data would have shown with 80 % power (or None)
     notes : sentences about choices made (crop, subset, what stays off)
     """
@@ -95,6 +96,7 @@ class Report:
     curves: list[Curve]
     seconds: float
     seed: int
+    evidence_needed: float | None = None
     detectable: dict[str, float | None] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -110,6 +112,7 @@ class Report:
             "model": self.model.to_dict(),
             "seconds": self.seconds,
             "seed": self.seed,
+            "evidence_needed": self.evidence_needed,
             "detectable": self.detectable,
             "notes": self.notes,
         }
