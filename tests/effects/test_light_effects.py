@@ -79,13 +79,17 @@ def test_wandering_drift_stays_within_its_change():
 
 
 @pytest.mark.parametrize("step_at", [0.15, 0.5, 0.8])
-def test_a_step_comes_when_said_and_is_read_off_a_noisy_background(step_at):
-    model = plain(n_frames=200).with_effects(effect("laser_drift", change=0.3, form="step", step_at=step_at))
-    light = scene_of(model).light
+@pytest.mark.parametrize("rise", [0.0, 8.0])
+def test_a_step_comes_when_said_and_is_read_off_a_noisy_background(step_at, rise):
+    step = effect("laser_drift", change=0.3, form="step", step_at=step_at, step_frames=rise)
+    light = scene_of(plain(n_frames=200).with_effects(step)).light
     assert np.argmax(np.abs(np.diff(light))) == pytest.approx(step_at * 199, abs=1)
-    # A step of 0.3 in noise of 0.05 per frame: the change point is off by more than 3 frames with chance < 1e-6.
-    course = light + 0.05 * np.random.default_rng(0).standard_normal(200)
-    assert seen_step(types.SimpleNamespace(course=course))["step_at"] == pytest.approx(step_at, abs=3 / 199)
+    assert np.count_nonzero((light > 1.03) & (light < 1.27)) == pytest.approx(rise, abs=1)  # 10 to 90 %
+    # A step of 0.3 in noise of 0.03 per frame: the change point is off by more than 3 frames with chance < 1e-6.
+    course = light + 0.03 * np.random.default_rng(0).standard_normal(200)
+    seen = seen_step(types.SimpleNamespace(course=course))
+    assert seen["step_at"] == pytest.approx(step_at, abs=3 / 199)
+    assert seen["step_frames"] < 4 if rise == 0 else 4 <= seen["step_frames"] <= 16
 
 
 @pytest.mark.parametrize("form", ["white", "pink"])

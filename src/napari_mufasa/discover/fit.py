@@ -23,7 +23,8 @@ LADDER = 2.2  # factor between the strengths tried first
 SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
 ROUND_SIMULATIONS = 9
 WIDE, NARROW = 0.45, 0.2  # spread of the parameters in a round (log units or quarters of the range)
-MOST_ROUNDS = 4
+MOST_ROUNDS = 3
+HOPELESS = 0.5  # a start with less than this share of the evidence to beat is not fitted further
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
 SETTLING_SIMULATIONS = 20  # further simulations of an effect that enters the model
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
@@ -77,13 +78,23 @@ def planned_simulations() -> int:
 
 def refine(library: Library, state: State, start: Effect, x: Array) -> Fit:
     """Fit `start` into `state` so that it explains the measurement x (part, observable)."""
+    found = refine_if_promising(library, state, start, x, 0.0)
+    assert found is not None  # nothing to beat
+    return found
+
+
+def refine_if_promising(library: Library, state: State, start: Effect, x: Array, to_beat: float) -> Fit | None:
+    """As `refine`; None where the best start promises far less evidence than `to_beat`."""
     seen = start.read_off(library.bench.measured)
     start = changed(start, seen)
     coordinates = [c for c in Coordinate.of(start, state.model) if c.name not in seen]
     n = len(coordinates)
+    climbed, gain = _climbed(library, state, _best_shape(library, state, start, coordinates, x), x)
+    if to_beat > 0 and gain < HOPELESS * to_beat:
+        return None
     local = replace(
         state,
-        model=state.model.with_effects(_climbed(library, state, _best_shape(library, state, start, coordinates, x), x)),
+        model=state.model.with_effects(climbed),
         free=(*state.free, *(f"{start.kind}.{c.name}" for c in coordinates)),
     )
     width = WIDE
@@ -116,8 +127,9 @@ def _best_shape(library: Library, state: State, start: Effect, coordinates: list
     return state.screen(x, {start.kind: rays})[start.kind][0].start()
 
 
-def _climbed(library: Library, state: State, start: Effect, x: Array) -> Effect:
-    """`start` at the best of a ladder of strengths, each simulated once; the ladder grows while its end is best."""
+def _climbed(library: Library, state: State, start: Effect, x: Array) -> tuple[Effect, float]:
+    """`start` at the best of a ladder of strengths, each simulated once, and the fall of chi² there; the ladder
+    grows while its end is best."""
 
     def misfits(factors: list[float]) -> dict[float, float]:
         rows = library.bench.rows([(state.model.with_effects(scaled(start, f)), k) for k, f in enumerate(factors)])
@@ -130,7 +142,8 @@ def _climbed(library: Library, state: State, start: Effect, x: Array) -> Effect:
         if min(found) < best < max(found):
             break
         found |= misfits([best * LADDER if best > 1 else best / LADDER])
-    return scaled(start, min(found, key=lambda f: found[f]))
+    best = min(found, key=lambda f: found[f])
+    return scaled(start, best), state.misfit(x) - found[best]
 
 
 def _linearised(

@@ -34,7 +34,7 @@ FINALISTS, LATER_FINALISTS = (
     5,
     3,
 )  # leads that are fitted by direct simulation, for the first effect and for further ones
-PROMISING = 0.5  # a lead or form is worth a fit from this share of the evidence that is needed or already had
+PROMISING = 0.6  # a lead or form is worth a fit from this share of the evidence that is needed or already had
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
 CONTESTED = 0.6  # effects with this share of the best evidence are contested: each may show its best form
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
@@ -171,7 +171,12 @@ class Investigation:
         leads = dict(sorted(self.leads().items(), key=lambda item: -item[1].gain))
         finalists = self._finalists(leads)
         self.bench.plan(len(finalists) * fit.planned_simulations())
-        self._tried = {kind: fit.refine(self.library, self.state, leads[kind].start(), self.x) for kind in finalists}
+        self._tried = {}
+        for kind in finalists:
+            to_beat = max((self.state.score(self.x) - found.score for found in self._tried.values()), default=0.0)
+            tried = fit.refine_if_promising(self.library, self.state, leads[kind].start(), self.x, to_beat)
+            if tried is not None:
+                self._tried[kind] = tried
         least = CONTESTED * max(self.state.score(self.x) - found.score for found in self._tried.values())
         contested = [k for k, found in self._tried.items() if self.state.score(self.x) - found.score > least]
         if len(contested) > 1:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera import Stack
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import course, seen_step, step_time
+from napari_mufasa.effects.illumination import course, seen_step, step_length, step_time
 from napari_mufasa.scene import Scene
 
 if TYPE_CHECKING:
@@ -307,6 +307,7 @@ class BaselineDrift(Effect):
         description="change from first to last frame",
     )
     step_at: float = step_time()
+    step_frames: float = step_length()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     @classmethod
@@ -314,7 +315,7 @@ class BaselineDrift(Effect):
         return seen_step(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        path = course(self.form, scene.progress, rng, self.step_at)
+        path = course(self.form, scene.progress, rng, self.step_at, self.step_frames)
         offset_e = (self.drift_adu * _adu(scene) * path).astype(np.float32)
         scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
 

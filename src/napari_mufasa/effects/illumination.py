@@ -17,7 +17,7 @@ STAGE = "illumination"
 
 
 def course(
-    form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float = 0.5
+    form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float = 0.5, step_frames: float = 0.0
 ) -> NDArray[np.float64]:
     """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering."""
     if form == "linear":
@@ -27,12 +27,20 @@ def course(
     elif form == "accelerating":
         path = progress**2
     elif form == "step":
-        path = (progress >= step_at).astype(np.float64)
+        path = _step(np.arange(len(progress)), step_at * (len(progress) - 1), step_frames)
     else:
         walk = np.cumsum(rng.standard_normal(len(progress)))
         walk -= walk[0]
         path = walk / max(np.abs(walk).max(), 1e-12)
     return path
+
+
+def _step(frame: NDArray[Any], at: float, rise: float) -> NDArray[np.float64]:
+    """From 0 to 1 at frame `at`, logistic with 10 to 90 % within `rise` frames."""
+    if rise <= 0:
+        return (frame >= at).astype(np.float64)
+    result: NDArray[np.float64] = 1 / (1 + np.exp(np.clip(-(frame - at) * 4.4 / rise, -700, 700)))
+    return result
 
 
 def step_time() -> Any:
@@ -42,8 +50,18 @@ def step_time() -> Any:
     )
 
 
+def step_length() -> Any:
+    """The field `step_frames` of effects with a stepwise course."""
+    return parameter(
+        0.0, ge=0, plausible=(0, 20), unit="frames", description="how long it takes (10 to 90 %), for the form step"
+    )
+
+
 def seen_step(observation: Observation) -> dict[str, float]:
-    """`step_at` as the background shows it: the split of the movie whose two means differ most beyond noise."""
+    """`step_at` and `step_frames` as the background shows them.
+
+    The split of the movie whose two means differ most beyond noise, then least squares around it.
+    """
     light = observation.course
     n = len(light)
     before = np.arange(1, n)
@@ -51,7 +69,16 @@ def seen_step(observation: Observation) -> dict[str, float]:
     difference = total / before - (light.sum() - total) / (n - before)
     evidence = np.abs(difference) * np.sqrt(before * (n - before) / n)
     inner = slice(n // 20, n - n // 20)
-    return {"step_at": float((np.argmax(evidence[inner]) + n // 20 + 0.5) / max(n - 1, 1))}
+    rough = np.argmax(evidence[inner]) + n // 20 + 0.5
+    frame = np.arange(n)
+    trials = [(at, rise) for at in rough + np.arange(-4, 5) * 0.5 for rise in (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)]
+
+    def misfit(trial: tuple[float, float]) -> float:
+        design = np.stack([np.ones(n), _step(frame, *trial)], axis=1)
+        return float(((light - design @ np.linalg.lstsq(design, light, rcond=None)[0]) ** 2).sum())
+
+    at, rise = min(trials, key=misfit)
+    return {"step_at": float(np.clip(at / max(n - 1, 1), 0, 1)), "step_frames": float(rise)}
 
 
 class IlluminationProfile(Effect):
@@ -117,6 +144,7 @@ class LaserDrift(Effect):
         description="relative change from first to last frame",
     )
     step_at: float = step_time()
+    step_frames: float = step_length()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     @classmethod
@@ -124,7 +152,7 @@ class LaserDrift(Effect):
         return seen_step(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        change = self.change * course(self.form, scene.progress, rng, self.step_at)
+        change = self.change * course(self.form, scene.progress, rng, self.step_at, self.step_frames)
         scene.light = np.maximum(scene.light * (1 + change), 0.0)
 
 
