@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from tests.report_example import candidate, report
 
 from napari_mufasa import figures, html_report, plotting, wording
@@ -234,3 +235,11 @@ def test_export_writes_every_file_whole(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "report.json").read_text())["error"]["after"] == 1.04
     assert Model.from_json(tmp_path / "model.json") == report().model
     assert len(pd.read_csv(tmp_path / "observables.csv")) == 10
+
+
+@pytest.mark.parametrize("added", [True, False])
+def test_distances_show_one_model_until_an_effect_is_added(added):
+    table = report().observables
+    ax = Figure().add_subplot()
+    plotting.z_scores(ax, table if added else table.assign(z_after=table.z_before))
+    assert len([line for line in ax.lines if line.get_marker() == "o"]) == 1 + added

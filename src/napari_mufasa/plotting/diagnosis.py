@@ -116,9 +116,10 @@ def z_scores(ax: Axes, observables: pd.DataFrame, top: int = 10) -> None:
     before, after = table["z_before"].to_numpy(float), table["z_after"].to_numpy(float)
     ax.axvspan(-3, 3, color=p.grid, alpha=0.7, lw=0, label="as expected (± 3 sd)")
     ax.axvline(0, color=p.muted, lw=0.8, zorder=0)
-    ax.hlines(y, before, after, color=p.muted, lw=1)
     ax.plot(before, y, "o", color=p.before, ms=5, label="base model")
-    ax.plot(after, y, "o", color=p.after, ms=5, label="completed model")
+    if not np.array_equal(before, after):  # nothing was added yet: one model only
+        ax.hlines(y, before, after, color=p.muted, lw=1, zorder=1)
+        ax.plot(after, y, "o", color=p.after, ms=5, label="completed model")
     parts.rows(ax, [str(title)[:1].upper() + str(title)[1:] for title in table["title"]])
     if np.nanmax(np.abs(before)) > 50:
         ax.set_xscale("symlog", linthresh=5)
