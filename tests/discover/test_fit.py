@@ -89,3 +89,14 @@ def test_what_is_read_off_is_not_fitted(library):
     drift = effect_class("laser_drift")
     assert drift.read_off(library.bench.measured)["step_at"] == pytest.approx(0.3, abs=0.01)
     library.bench.measured = None
+
+
+def test_a_start_that_cannot_win_is_not_fitted_further(library):
+    truth = nm.preset("FF").with_effects(HOT(fraction=2e-3, electrons=10.0))
+    x = library.bench.rows([(truth, 997)])[0]
+    gain = library.base.misfit(x)  # no effect can bring more
+    assert fit.refine_if_promising(library, library.base, truth.effects[0], x, to_beat=10 * gain) is None
+    found = fit.refine_if_promising(library, library.base, truth.effects[0], x, to_beat=0.5 * gain)
+    assert found is not None and found.misfit < 0.5 * gain
+    nothing = library.bench.rows([(nm.preset("FF"), 996)])[0]
+    assert fit.refine(library, library.base, HOT(fraction=0.02), nothing) is not None  # asked for, so fitted
