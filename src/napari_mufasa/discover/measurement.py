@@ -12,7 +12,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.model import Model
 
 FRAMES = 600  # a diagnosis looks at no more frames …
-VOXELS = 9_000_000  # … and pixels times frames than this
+VOXELS = 6_000_000  # … and pixels times frames than this
 DARK_FRAMES = 60
 
 
