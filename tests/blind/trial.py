@@ -201,7 +201,8 @@ def main() -> None:
     text = summary(done)
     print(text)
     if options.write:
-        (ROOT / "docs" / "blind_trial.md").write_text("# Blind trial\n\n`make blind` wrote this table.\n\n" + text)
+        head = f"# Blind trial\n\n`make blind` wrote this from the {len(done)} cases that ran; a case is one movie.\n\n"
+        (ROOT / "docs" / "blind_trial.md").write_text(head + text)
 
 
 if __name__ == "__main__":
