@@ -1,4 +1,4 @@
-"""model.json as SPEC.md §10 prints it: the one example that tests share."""
+"""model.json and the identifiers of effects as SPEC.md §9 and §10 print them: the one example that tests share."""
 
 from __future__ import annotations
 
@@ -19,3 +19,32 @@ MODEL: dict[str, Any] = {
     },
     "effects": [],
 }  # fmt: skip
+
+EFFECTS = [
+    "triplet_blinking",
+    "long_dark_state",
+    "photobleaching",
+    "delayed_activation",
+    "brightness_heterogeneity",
+    "multiple_emitters",
+    "illumination_profile",
+    "laser_drift",
+    "laser_flicker",
+    "periodic_modulation",
+    "stage_drift",
+    "focus_drift",
+    "molecule_diffusion",
+    "astigmatism",
+    "background_gradient",
+    "background_decay",
+    "em_excess_noise",
+    "clock_induced_charge",
+    "pixel_gain_variation",
+    "column_offset",
+    "row_noise",
+    "hot_pixels",
+    "detector_saturation",
+    "image_lag",
+    "baseline_drift",
+    "cosmic_rays",
+]

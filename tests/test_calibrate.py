@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from tests.real_data import real_data
 
 import napari_mufasa as nm
 from napari_mufasa.calibrate import calibrate, leading_dark_frames
-
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
 def movie_and_dark(name, **changes):
@@ -80,12 +77,9 @@ def test_bad_input_is_named():
 
 
 def real(name):
-    path = DATA / name
-    if not path.is_file():
-        pytest.skip(f"no {path}")
     import tifffile
 
-    return tifffile.imread(path)
+    return tifffile.imread(real_data(name))
 
 
 @pytest.mark.realdata

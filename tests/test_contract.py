@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import tifffile
-from tests.spec_example import MODEL
+from tests.spec_example import EFFECTS, MODEL
 
 import napari_mufasa as nm
 from napari_mufasa import io
@@ -23,34 +23,6 @@ from napari_mufasa.model import Model
 # A smaller movie than the example's.
 PRINTED = MODEL | {"acquisition": MODEL["acquisition"] | {"n_frames": 60, "shape_px": [64, 64]}}
 SPARSE = {"sample": {"n_molecules": 10, "min_distance_px": 9}}
-EFFECTS = [
-    "triplet_blinking",
-    "long_dark_state",
-    "photobleaching",
-    "delayed_activation",
-    "brightness_heterogeneity",
-    "multiple_emitters",
-    "illumination_profile",
-    "laser_drift",
-    "laser_flicker",
-    "periodic_modulation",
-    "stage_drift",
-    "focus_drift",
-    "molecule_diffusion",
-    "astigmatism",
-    "background_gradient",
-    "background_decay",
-    "em_excess_noise",
-    "clock_induced_charge",
-    "pixel_gain_variation",
-    "column_offset",
-    "row_noise",
-    "hot_pixels",
-    "detector_saturation",
-    "image_lag",
-    "baseline_drift",
-    "cosmic_rays",
-]
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from tests.spec_example import EFFECTS as CONTRACT
 
 from . import generator as g
 from . import photophysics
@@ -25,34 +26,6 @@ HERE = Path(__file__).parent
 GENERATOR_FILES = sorted(p for p in HERE.glob("*.py") if not p.name.startswith("test_") and p.name != "trial.py")
 ALL_FORMS = [(kind, i) for kind in g.EFFECTS for i in range(len(g.forms(kind)))]
 GAIN_ADU = 25.0  # 300 e per electron over 12 e per ADU
-CONTRACT = [
-    "triplet_blinking",
-    "long_dark_state",
-    "photobleaching",
-    "delayed_activation",
-    "brightness_heterogeneity",
-    "multiple_emitters",
-    "illumination_profile",
-    "laser_drift",
-    "laser_flicker",
-    "periodic_modulation",
-    "stage_drift",
-    "focus_drift",
-    "molecule_diffusion",
-    "astigmatism",
-    "background_gradient",
-    "background_decay",
-    "em_excess_noise",
-    "clock_induced_charge",
-    "pixel_gain_variation",
-    "column_offset",
-    "row_noise",
-    "hot_pixels",
-    "detector_saturation",
-    "image_lag",
-    "baseline_drift",
-    "cosmic_rays",
-]
 
 
 def small(n_frames: int = 120, side: int = 64, **background: float) -> dict:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.blind import generator
+from tests.real_data import real_data
 
 import napari_mufasa as nm
 from napari_mufasa.compare import (
@@ -22,7 +23,6 @@ from napari_mufasa.io import write_json
 from napari_mufasa.trace_files import read_traces
 from napari_mufasa.traces.select import dynamics
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 
 
@@ -202,9 +202,7 @@ def test_nothing_to_compare_is_said():
 
 @pytest.mark.realdata
 def test_real_movie_fitted_model_near_the_floor():
-    path = DATA / "smfret_ixon_emccd.tif"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
+    path = real_data("smfret_ixon_emccd.tif")
     import tifffile
 
     model = nm.Model.from_json(MODELS / "smfret_ixon.json")
@@ -215,9 +213,7 @@ def test_real_movie_fitted_model_near_the_floor():
 
 @pytest.mark.realdata
 def test_real_egfp_traces_order_and_fit():
-    path = DATA / "egfp_emccd_traces.tif"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
+    path = real_data("egfp_emccd_traces.tif")
     traces, unit = read_traces(path)
     model = nm.Model.from_json(MODELS / "egfp.json").with_values({"fluorophore.quantum_yield": 1.0})
     adu = model.camera.em_gain / model.camera.electrons_per_adu

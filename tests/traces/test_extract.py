@@ -9,12 +9,12 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from tests.blind import generator
+from tests.real_data import real_data
 
 import napari_mufasa as nm
 from napari_mufasa.traces import Options, extract_traces
 from napari_mufasa.traces.frames import with_dark_baseline
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 
 
@@ -346,9 +346,7 @@ def test_width_of_the_psf_is_measured():
 
 @pytest.mark.realdata
 def test_real_movie_gives_at_least_ninety_molecules_of_one_step():
-    path = DATA / "smfret_ixon_emccd.tif"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
+    path = real_data("smfret_ixon_emccd.tif")
     import tifffile
 
     model = nm.Model.from_json(MODELS / "smfret_ixon.json")

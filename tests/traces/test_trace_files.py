@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.real_data import real_data
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.trace_files import read_trace_file, read_traces, write_trace_file
-
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
 @pytest.mark.parametrize("suffix", ["csv", "tif", "h5"])
@@ -114,9 +112,7 @@ def test_missing_file():
 
 @pytest.mark.realdata
 def test_real_fret_traces():
-    path = DATA / "smfret_traces" / "hel1.traces"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
+    path = real_data("smfret_traces/hel1.traces")
     found = read_trace_file(path)
     assert found.traces.shape == (520, 1500)
     assert found.positions_px is not None

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from qtpy.QtCore import QPoint, Qt
+from tests.real_data import real_data
 
 from napari_mufasa.widgets.session import session_of
 from napari_mufasa.widgets.workflow import WorkflowWidget
 
 ROOT = Path(__file__).parents[2]
-MOVIE = ROOT.parent / "shared" / "data" / "smfret_ixon_emccd.tif"
 MODEL = ROOT / "docs" / "models" / "smfret_ixon.json"
 
 
@@ -51,12 +51,11 @@ def test_mouse_click_shows_the_trace(make_napari_viewer, qtbot, run, bright_mode
 
 @pytest.mark.realdata
 def test_real_movie_gives_its_molecules(viewer, run, qtbot):
-    if not MOVIE.is_file():
-        pytest.skip(f"the real movie is not beside the project ({MOVIE})")
+    movie = real_data("smfret_ixon_emccd.tif")
     workflow = WorkflowWidget(viewer)
     viewer.window.add_dock_widget(workflow)
     with qtbot.waitSignal(workflow.step("Data").run_bar.finished, timeout=60_000):
-        workflow.step("Data").open_movie(str(MOVIE))
+        workflow.step("Data").open_movie(str(movie))
     layer = session_of(viewer).movie_layer
     assert not isinstance(layer.data, np.ndarray)  # stays on disk
     workflow.step("Model").source.open_file(str(MODEL))
