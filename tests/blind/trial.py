@@ -58,9 +58,9 @@ SAME_MEANING = {
 }
 
 
-def cases(seeds: int, nulls: int, groups: set[str]) -> Iterator[dict[str, Any]]:
+def cases(seeds: range, nulls: int, groups: set[str]) -> Iterator[dict[str, Any]]:
     """All cases, seed by seed, so that a trial cut short is still balanced."""
-    for seed in range(seeds):
+    for seed in seeds:
         if "single" in groups:
             for i, kind in enumerate(generator.EFFECTS):
                 strength = STRENGTHS[(seed + i) % len(STRENGTHS)]
@@ -72,7 +72,7 @@ def cases(seeds: int, nulls: int, groups: set[str]) -> Iterator[dict[str, Any]]:
             for i, kind in enumerate(generator.OFF_CATALOGUE):
                 yield {"group": "off", "off": kind, "effects": [], "seed": 4000 + 37 * seed + i}
         if "null" in groups:
-            for i in range(-(-nulls // seeds)):
+            for i in range(-(-nulls // len(seeds))):
                 yield {"group": "null", "effects": [], "seed": 2000 + 101 * seed + i}
 
 
@@ -175,6 +175,7 @@ def _counted(counter: Counter[str]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first-seed", type=int, default=0, help="other seeds, other movies")
     parser.add_argument("--nulls", type=int, default=40)
     parser.add_argument("--base", help="one base model for all cases, e.g. emccd_short")
     parser.add_argument("--groups", default="single,null,pair,off")
@@ -191,7 +192,8 @@ def main() -> None:
     finished = {(r["group"], r["seed"], r.get("off")) for r in done}
     if not options.summary:
         mine, shares = (int(n) for n in options.share.split("/"))
-        for i, case in enumerate(cases(options.seeds, options.nulls, set(options.groups.split(",")))):
+        seeds = range(options.first_seed, options.first_seed + options.seeds)
+        for i, case in enumerate(cases(seeds, options.nulls, set(options.groups.split(",")))):
             if i % shares != mine or (case["group"], case["seed"], case.get("off")) in finished:
                 continue
             done.append(run(case, options.base))
