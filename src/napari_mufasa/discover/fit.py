@@ -177,32 +177,39 @@ def moved(model: Model, values: list[nuisance.Nuisance], free: tuple[str, ...], 
     return model.model_copy(update={"effects": tuple(effects.values())})
 
 
-def judge(library: Library, local: State, x: Array, n_effect: int, more: int = 0) -> Fit:
-    """Fresh simulations of the fitted model (`CHECK_SIMULATIONS` and `more`): its mean, its spread, its score."""
-    bench, base = library.bench, library.base
-    numbers = [CHECK_SEED + k for k in range(CHECK_SIMULATIONS)] + list(range(more))
-    rows = bench.rows([(local.model, number) for number in numbers])
-    # Paired with the base model's simulations of the same seeds: the mean is as precise as the base's.
-    change = rows - np.concatenate([base.check, library.rows[:more]])
+def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
+    """Fresh simulations of the fitted model: its mean, its spread, its score."""
     n = len(local.prior) - n_effect
-    local = replace(local, prior=np.concatenate([local.prior[:n], np.full(n_effect, 0.3)]), check=rows)
-    everyone = np.ones(len(rows), dtype=bool)
-    state = _of_simulations(library, local, rows, change, everyone, pooled=more > 0)
-    errors = []
-    for i in range(len(rows)):
-        others = everyone.copy()
-        others[i] = False
-        errors.append(_of_simulations(library, state, rows, change, others, pooled=more > 0).held_out_error(rows[i]))
-    state = replace(state, floor=float(np.median(errors)))
-    effect = moved(state.model, library.nuisances, state.free, state.profiled(x).moves).effects[-1]
-    misfit = state.misfit(x)
-    return Fit(state, effect, _uncertainty(state, n_effect, misfit, effect), state.score(x), misfit)
+    local = replace(local, prior=np.concatenate([local.prior[:n], np.full(n_effect, 0.3)]))
+    rows = library.bench.rows([(local.model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
+    return _judged(library, local, rows, x, n_effect)
 
 
 def settle(library: Library, found: Fit, x: Array) -> Fit:
     """The fit judged again by more simulations, as suits one that enters the model."""
     n_effect = sum(path.startswith(f"{found.effect.kind}.") for path in found.state.free)
-    return judge(library, found.state, x, n_effect, more=SETTLING_SIMULATIONS)
+    more = library.bench.rows([(found.state.model, k) for k in range(SETTLING_SIMULATIONS)])
+    rows = np.concatenate([found.state.check[:CHECK_SIMULATIONS], more])
+    return _judged(library, found.state, rows, x, n_effect)
+
+
+def _judged(library: Library, local: State, rows: Array, x: Array, n_effect: int) -> Fit:
+    """The fit by simulations of its model, numbered as the base model's check simulations and then as its others."""
+    pooled = len(rows) > CHECK_SIMULATIONS
+    # Paired with the base model's simulations of the same seeds: the mean is as precise as the base's.
+    change = rows - np.concatenate([library.base.check, library.rows])[: len(rows)]
+    local = replace(local, check=rows)
+    everyone = np.ones(len(rows), dtype=bool)
+    state = _of_simulations(library, local, rows, change, everyone, pooled)
+    errors = []
+    for i in range(len(rows)):
+        others = everyone.copy()
+        others[i] = False
+        errors.append(_of_simulations(library, state, rows, change, others, pooled).held_out_error(rows[i]))
+    state = replace(state, floor=float(np.median(errors)))
+    effect = moved(state.model, library.nuisances, state.free, state.profiled(x).moves).effects[-1]
+    misfit = state.misfit(x)
+    return Fit(state, effect, _uncertainty(state, n_effect, misfit, effect), state.score(x), misfit)
 
 
 def _of_simulations(
