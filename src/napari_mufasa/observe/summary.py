@@ -261,19 +261,16 @@ def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> No
     table.add("spot_elongation_late", late[0] - late[1], "PSF variance along y minus x, second half", "px²", where)
     table.add("spot_elongation_shear", np.hypot(early[2], late[2]), "oblique elongation", "px²", where)
     path = spots.path_px
-    table.log("common_shift_end", np.hypot(*path[-1]) ** 2 + 1e-3, "common displacement² at the end", "px, all spots")
-    table.log(
-        "common_shift_extent",
-        float((path**2).sum(axis=1).max()) + 1e-3,
-        "largest common displacement²",
-        "px, all spots",
-    )
+    # In pixels, not in powers: the noise of a path is the same whether the stage stands or drifts.
+    table.add("common_shift_end", np.hypot(*path[-1]), "common displacement at the end", "px", "all spots")
+    table.add("common_shift_extent", np.hypot(*path.T).max(), "largest common displacement", "px", "all spots")
     rough = np.diff(path, 2, axis=0) if len(path) > 2 else np.zeros((1, 2))
-    table.log(
+    table.add(
         "common_shift_roughness",
-        float((rough**2).sum(axis=1).mean()) + 1e-4,
-        "unsteadiness of the common motion²",
-        "px, all spots",
+        np.sqrt((rough**2).sum(axis=1).mean()),
+        "unsteadiness of the common motion",
+        "px",
+        "all spots",
     )
     total = spots.light[keep].sum(axis=0)
     total = np.maximum(total, 0.25 * total.mean() + 1e-6) if len(total) else total  # few lit: no jitter from noise
