@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import TYPE_CHECKING, Any
 
 from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import guarded
-from napari_mufasa.widgets.layers import resolution_um, slim
+from napari_mufasa.widgets.layers import resolution_um, room_for, slim, unpainted
 from napari_mufasa.widgets.panel import MovieChooser, Panel
 from napari_mufasa.widgets.session import model_in, stack_of, stored
 
@@ -96,8 +97,13 @@ class DataPanel(Panel):
 
         self.start("Simulating the sample", work, self._add)
 
-    def _add(self, found: list[Any]) -> None:
-        added = [self.viewer.add_image(data, **options) for data, options, _ in found]
+    def _add(self, found: list[Any]) -> Generator[None, None, None]:
+        yield from room_for(self.viewer, found[-1][0].shape, found[-1][1].get("scale"))
+        added = []
+        for data, options, _ in found:
+            with unpainted(self.viewer):
+                added.append(self.viewer.add_image(data, **options))
+            yield
         self._take(next(layer for layer in added if stored(layer, "role") != "dark frames"))
         self.viewer.dims.set_point(0, 0)
 

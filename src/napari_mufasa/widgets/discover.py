@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import weakref
+from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,12 +124,12 @@ class DiscoverPanel(Panel):
                 report = investigation.report()
                 return investigation, report, _places(investigation, report, shape_px, seed, cancel)
 
-        def done(found: Any) -> None:
+        def done(found: Any) -> Generator[None, None, None]:
             self.investigation, report, places = found
             self._steering, self._steps = steering, [(report, places)]
             self._name, self._first_frame, self._examined = measurement.name, measurement.first_frame, layer
-            self.layers.clear()
-            self.show_report(report, places)
+            yield from self.layers.clear()
+            yield from self._showing(report, places)
 
         self.start("Looking for what is missing", work, done)
 
@@ -174,12 +175,16 @@ class DiscoverPanel(Panel):
         raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
 
     # results ----------------------------------------------------------------------------------------
-    def _take(self, found: tuple[Report, Places | None]) -> None:
+    def _take(self, found: tuple[Report, Places | None]) -> Generator[None, None, None]:
         self._steps.append(found)
-        self.show_report(*found)
+        yield from self._showing(*found)
 
     def show_report(self, report: Report, places: Places | None = None) -> None:
-        """Everything the panel shows follows from the report and the places."""
+        for _ in self._showing(report, places):
+            pass
+
+    def _showing(self, report: Report, places: Places | None = None) -> Generator[None, None, None]:
+        """Everything the panel shows follows from the report and the places; one thing at a time."""
         import pandas as pd
 
         self.report, self.places = report, places
@@ -193,11 +198,14 @@ class DiscoverPanel(Panel):
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), bool(report.detectable))
         self.history.draw(lambda figure: _draw_history(figure, report), pd.DataFrame(report.history))
         self._enable()
+        yield
         # What was found is what is believed from now on.
         self.session.set_model(report.model, f"fitted to {self._name}")
         self.session.set_result("report", report)
+        yield
         self._show_simulated()
         if self.layers.showing:
+            yield
             self._show_place(self.where.selected())
 
     def _enable(self) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from qtpy.QtCore import QObject, Qt, Signal  # type: ignore[attr-defined]
+from qtpy.QtCore import QObject, Qt, QTimer, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
@@ -20,6 +20,7 @@ Cancel = Callable[[], bool]
 Work = Callable[[Progress, Cancel], Any]
 POLL_S = 0.05
 TWENTIETHS = 20  # steps of the progress bars: napari draws its own at each
+BREATH_MS = 15
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,9 @@ class RunBar(QWidget):
     """A Run button, a Cancel button, progress, and one line about what happened.
 
     ``start(title, work, done)`` runs ``work(progress, cancel)`` in the background and then calls ``done(result)`` in
-    the interface's thread. ``finished`` is emitted after every run, however it ended.
+    the interface's thread. Where `done` is a generator, the interface breathes at each ``yield``: what it has to do
+    (a layer, another layer, a table) is done one thing at a time. ``finished`` is emitted after every run, however it
+    ended.
     """
 
     clicked = Signal()
@@ -96,15 +99,20 @@ class RunBar(QWidget):
         self.run_button.clicked.connect(self.clicked)
         self.cancel_button.clicked.connect(self.cancel)
         self._worker: Any = None
-        self._done: Callable[[Any], None] | None = None
+        self._rest: Generator[None, None, None] | None = None  # what `done` still has to do
+        self._breath = QTimer(self)
+        self._breath.setSingleShot(True)
+        self._breath.setInterval(BREATH_MS)
+        self._breath.timeout.connect(self._go_on)
+        self._done: Callable[[Any], Any] | None = None
         self._outcome: Outcome | None = None
         self._show_running(False)
 
     @property
     def running(self) -> bool:
-        return self._worker is not None
+        return self._worker is not None or self._rest is not None
 
-    def start(self, title: str, work: Work, done: Callable[[Any], None]) -> None:
+    def start(self, title: str, work: Work, done: Callable[[Any], Any]) -> None:
         """Run `work` in the background; ignored while a run is under way."""
         if self.running:
             return
@@ -158,15 +166,50 @@ class RunBar(QWidget):
         self._worker = self._done = self._outcome = None
         with contextlib.suppress(TypeError, RuntimeError):  # already gone with the widget
             self.destroyed.disconnect(worker.quit)
-        self._show_running(False)
         if outcome is None or isinstance(outcome.error, Cancelled):
             self.say("Cancelled.")
         elif outcome.error is not None:
             self.say(report_error(outcome.error), error=True)
         elif done is not None:
             self.say("")
-            guarded(self, lambda: done(outcome.value))
+            self._rest = _in_turns(done, outcome.value)
+            self._breath.start()  # napari's own end of a run comes first
+            return
+        self._end()
+
+    def _go_on(self) -> None:
+        """Do the next part of what follows a run."""
+        rest = self._rest
+        if rest is None:
+            return
+        going_on = True
+        try:
+            going_on = next(rest, _END) is not _END
+        except MufasaError as error:
+            going_on = False
+            self.say(report_error(error), error=True)
+        except BaseException:
+            self._end()
+            raise
+        if going_on:
+            self._breath.start()
+        else:
+            self._end()
+
+    def _end(self) -> None:
+        self._rest = None
+        self._show_running(False)
         self.finished.emit()
+
+
+_END = object()
+
+
+def _in_turns(done: Callable[[Any], Any], value: Any) -> Generator[None, None, None]:
+    """`done` as a generator, which it may be or not."""
+    parts = done(value)
+    if isinstance(parts, Generator):
+        yield from parts
 
 
 def guarded(run_bar: RunBar, action: Callable[[], Any]) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Generator, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from qtpy.QtCore import Signal  # type: ignore[attr-defined]
+from qtpy.QtCore import QTimer, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QComboBox, QWidget
 
 from napari_mufasa.io import METADATA_KEY
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
     from napari_mufasa.model import Model
 
+UNPAINTED_MS = 5  # less than a run's parts are apart
 PLACE = "where the model fails"  # role of layers that show misfit: never a movie
 
 
@@ -95,19 +98,65 @@ def add_movie(viewer: Viewer, data: Any, name: str, space: dict[str, Any], model
     ours: dict[str, Any] = {"model": model.to_dict(), "seed": seed} if model is not None else {}
     ours |= {"role": role} if role else {}
     metadata = {METADATA_KEY: ours} if ours else {}
-    options = {"contrast_limits": contrast(data), "colormap": "gray"} | kwargs
-    added: Any = viewer.add_image(data, name=name, metadata=metadata, **space, **options)
+    options = {"colormap": "gray"} | kwargs
+    if "contrast_limits" not in options:
+        options["contrast_limits"] = contrast(data)
+    with unpainted(viewer):
+        added: Any = viewer.add_image(data, name=name, metadata=metadata, **space, **options)
     return added
 
 
 def add_points(viewer: Viewer, positions_px: Any, features: Any, name: str, movie: Layer, **kwargs: Any) -> Points:
     """Molecules (y, x) in pixels as rings of about a PSF, on top of `movie`."""
     scale, units = tuple(movie.scale[-2:]), tuple(movie.units[-2:])
-    points: Any = viewer.add_points(
-        np.asarray(positions_px, dtype=float).reshape(-1, 2), features=features, name=name, scale=scale,
-        translate=tuple(movie.translate[-2:]), units=units, **kwargs,
-    )  # fmt: skip
+    with unpainted(viewer):
+        points: Any = viewer.add_points(
+            np.asarray(positions_px, dtype=float).reshape(-1, 2), features=features, name=name, scale=scale,
+            translate=tuple(movie.translate[-2:]), units=units, **kwargs,
+        )  # fmt: skip
     return points
+
+
+@contextlib.contextmanager
+def unpainted(viewer: Viewer) -> Iterator[None]:
+    """Put the window's next picture off until the interface had a turn for other things.
+
+    napari needs a tenth of a second to make a layer and, with software rendering, as long again to draw it first.
+    """
+    window: Any = getattr(getattr(viewer, "window", None), "_qt_window", None)
+    if window is None:  # a viewer without a window
+        yield
+        return
+
+    def paint() -> None:
+        with contextlib.suppress(RuntimeError):  # closed meanwhile
+            window.setUpdatesEnabled(True)
+
+    window.setUpdatesEnabled(False)
+    try:
+        yield
+    finally:
+        QTimer.singleShot(UNPAINTED_MS, paint)
+
+
+def room_for(viewer: Viewer, shape: tuple[int, ...], scale: Any = None) -> Generator[None, None, None]:
+    """Give an empty viewer the sliders of a first layer before it comes; napari would make all in one go."""
+    if len(viewer.layers) or viewer.dims.ndim >= len(shape):
+        return
+    with unpainted(viewer):
+        viewer.dims.ndim = len(shape)
+    yield
+    steps = scale if scale is not None else (1,) * len(shape)
+    with unpainted(viewer):
+        viewer.dims.range = tuple((0, (n - 1) * float(step), float(step)) for n, step in zip(shape, steps, strict=True))
+    yield
+
+
+def shown_later(layer: Layer) -> Generator[None, None, None]:
+    """Draw a layer that was added hidden, once the window has drawn what came with it."""
+    yield
+    layer.visible = True
+    yield
 
 
 def resolution_um(layer: Layer) -> float | None:

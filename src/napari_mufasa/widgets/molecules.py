@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Generator
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -11,7 +12,7 @@ from qtpy.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QFileDialog, QF
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import guarded
-from napari_mufasa.widgets.layers import add_points, slim
+from napari_mufasa.widgets.layers import add_points, shown_later, slim
 from napari_mufasa.widgets.panel import MovieChooser, Panel, takes_the_rest
 from napari_mufasa.widgets.plot import PlotCanvas
 from napari_mufasa.widgets.preferences import preference
@@ -115,7 +116,7 @@ class MoleculesPanel(Panel):
         self.start("Extracting traces", work, lambda traces: self._show(traces, layer, measurement.name))
 
     # results ----------------------------------------------------------------------------------------
-    def _show(self, traces: TraceSet, layer: Image | None, name: str) -> None:
+    def _show(self, traces: TraceSet, layer: Image | None, name: str) -> Generator[None, None, None]:
         self.traces, self.shown = traces, None
         if layer is None or layer not in self.viewer.layers:
             raise MufasaError(
@@ -127,14 +128,16 @@ class MoleculesPanel(Panel):
         self.points = add_points(
             self.viewer, traces.positions_px, _features(table), f"{name}, molecules", layer,
             size=max(4.0, 5 * traces.sigma_px), face_color="transparent", border_width=0.07,
-            border_color=_colours(table), symbol="disc",
+            border_color=_colours(table), symbol="disc", visible=False,
         )  # fmt: skip
         self._sets[self.points] = traces
+        yield
         self.points.mode = "select"
         self.points.selected_data.events.items_changed.connect(self._on_selection)
         self.points.mouse_drag_callbacks.append(self._on_click)
         self.save_button.setEnabled(True)
         self.plot.clear()
+        yield from shown_later(self.points)
         self.session.set_result("traces", traces)
 
     def select(self, molecule: int) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from napari_mufasa.io import METADATA_KEY
-from napari_mufasa.widgets.layers import PLACE, add_movie
+from napari_mufasa.widgets.layers import PLACE, add_movie, unpainted
 from napari_mufasa.widgets.places import MOLECULE_WORDS, WORDS, Places, place_of
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ class PlaceLayers:
     def __init__(self, viewer: Viewer) -> None:
         self.viewer = viewer
         self._layers: dict[str, Any] = {}
-        self._of: Places | None = None
 
     @property
     def map(self) -> Image | None:
@@ -46,9 +46,12 @@ class PlaceLayers:
         """Whether a place is shown."""
         return any(layer is not None and layer.visible for layer in (self.map, self.molecules))
 
-    def clear(self) -> None:
+    def clear(self) -> Generator[None, None, None]:
+        """Take all away, one at a time: napari collects its garbage at each."""
         for name in ("map", "molecules", "simulated"):
-            self._remove(name)
+            if self._alive(name) is not None:
+                self._remove(name)
+                yield
 
     def hide_place(self) -> None:
         for layer in (self.map, self.molecules):
@@ -60,9 +63,6 @@ class PlaceLayers:
 
     def show(self, observable: str, places: Places, movie: Image, first_frame: int = 0) -> str:
         """Show the place of an observable on top of `movie`; says in words what is shown."""
-        if places is not self._of:
-            self._remove("molecules")  # they may be other ones
-            self._of = places
         self.hide_place()
         name = place_of(observable)
         if name.startswith("molecules:"):
@@ -107,13 +107,14 @@ class PlaceLayers:
         }
         layer = self.map
         if layer is None:
-            layer = self._layers["map"] = self.viewer.add_image(
-                z, **space, units=movie.units, colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN),
-                metadata={METADATA_KEY: {"role": PLACE}},
-            )  # fmt: skip
-            layers = self.viewer.layers
-            layers.move(layers.index(layer), layers.index(movie) + 1)  # below the molecules
-            layers.selection.active = movie
+            with unpainted(self.viewer):
+                layer = self._layers["map"] = self.viewer.add_image(
+                    z, **space, units=movie.units, colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN),
+                    metadata={METADATA_KEY: {"role": PLACE}},
+                )  # fmt: skip
+                layers = self.viewer.layers
+                layers.move(layers.index(layer), layers.index(movie) + 1)  # below the molecules
+                layers.selection.active = movie
         else:
             layer.data = z
             for key, value in space.items():
@@ -137,17 +138,20 @@ class PlaceLayers:
             return "No molecule was found to show this on."
         z = table[number].to_numpy(float)
         name = f"where: {MOLECULE_WORDS[number]}"
-        layer = self.molecules
+        layer, positions = self.molecules, table[["y_px", "x_px"]].to_numpy(float)
         if layer is None:
-            layer = self._layers["molecules"] = self.viewer.add_points(
-                table[["y_px", "x_px"]].to_numpy(float), name=name, scale=tuple(movie.scale[-2:]),
-                units=tuple(movie.units[-2:]), translate=tuple(movie.translate[-2:]), opacity=0.8,
-                size=5.0 * float(places.model.sigma_px), features={"sd": z}, face_color="sd", face_colormap="PiYG",
-                face_contrast_limits=(-SD_SHOWN, SD_SHOWN), border_color="gray", border_width=0.05,
-                metadata={METADATA_KEY: {"role": PLACE}},
-            )  # fmt: skip
-            self.viewer.layers.selection.active = movie
+            with unpainted(self.viewer):
+                layer = self._layers["molecules"] = self.viewer.add_points(
+                    positions, name=name, scale=tuple(movie.scale[-2:]),
+                    units=tuple(movie.units[-2:]), translate=tuple(movie.translate[-2:]), opacity=0.8,
+                    size=5.0 * float(places.model.sigma_px), features={"sd": z}, face_color="sd", face_colormap="PiYG",
+                    face_contrast_limits=(-SD_SHOWN, SD_SHOWN), border_color="gray", border_width=0.05,
+                    metadata={METADATA_KEY: {"role": PLACE}},
+                )  # fmt: skip
+                self.viewer.layers.selection.active = movie
         else:
+            if not np.array_equal(layer.data, positions):  # after another effect was added they may be other ones
+                layer.data = positions
             layer.features, layer.name, layer.visible = {"sd": z}, name, True
             layer.refresh_colors()
         worst = table.iloc[int(np.argmax(np.abs(z)))]

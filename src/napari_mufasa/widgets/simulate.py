@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import Any
 
 from qtpy.QtWidgets import QCheckBox, QComboBox, QFormLayout, QSpinBox
 
 from napari_mufasa.napari_io import movie_space
-from napari_mufasa.widgets.layers import add_movie, add_points
+from napari_mufasa.widgets.layers import add_movie, add_points, room_for
 from napari_mufasa.widgets.model_panel import DerivedValues, ModelSource, PartEditor, section
 from napari_mufasa.widgets.panel import Panel
 from napari_mufasa.widgets.preferences import preference
@@ -63,21 +64,19 @@ class SimulatePanel(Panel):
 
         self.start("Simulating", work, self._show)
 
-    def _show(self, result: Any) -> None:
+    def _show(self, result: Any) -> Generator[None, None, None]:
         model, space = result.model, movie_space(result.model)
+        yield from room_for(self.viewer, result.movie.shape, space["scale"])
         name = f"{model.protocol} simulated"
         if self.optical.isChecked():
             add_movie(
-                self.viewer,
-                result.optical,
-                f"{name}, photons",
-                space,
-                model,
-                result.seed,
-                role="photons",
-                visible=False,
-            )
+                self.viewer, result.optical, f"{name}, photons", space, model, result.seed,
+                role="photons", visible=False,
+            )  # fmt: skip
+            yield
         movie = add_movie(self.viewer, result.movie, name, space, model, result.seed)
+        self.session.set_movie(movie)
+        yield
         if self.positions.isChecked():
             import pandas as pd
 
@@ -86,6 +85,7 @@ class SimulatePanel(Panel):
                 self.viewer, result.positions_px, photons, f"{name}, true positions", movie,
                 size=6, border_width=0.12, face_color="transparent", border_color="#5ec4ff", visible=False,
             )  # fmt: skip
-            self.viewer.layers.selection.active = movie
-        self.session.set_movie(movie)
+            if movie in self.viewer.layers:
+                self.viewer.layers.selection.active = movie
+            yield
         self.run_bar.say(f"{model.acquisition.n_frames} frames, {len(result.positions_px)} molecules.")
