@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_mufasa.denoise import let, pure_let, pure_let_traces
+from napari_mufasa.denoise import fused, let, pure_let, pure_let_traces
 from napari_mufasa.errors import MufasaError
 
 NONE = np.zeros(0, np.float32)
@@ -82,14 +82,19 @@ def test_least_squares_weights_minimise_the_estimated_risk():
         assert system.risk(best + rng.normal(0, 0.05, best.size)) > lowest
 
 
-def test_applied_estimator_is_the_one_whose_risk_was_estimated():
+@pytest.mark.parametrize("mapped", [False, True], ids=["one read noise", "a map of it"])
+@pytest.mark.parametrize("n_guides", [0, 2])
+@pytest.mark.parametrize(("shape", "levels"), [((61, 50), 3), ((26, 2 * fused.WIDTH + 35), 2)])
+def test_applied_estimator_is_the_one_whose_risk_was_estimated(shape, levels, n_guides, mapped):
+    # The single pass that movies take, in several strips, against the candidates one by one.
     rng = np.random.default_rng(0)
-    x = scene(61)[:, :50] * 6
-    y, guide = observe(x, rng, "poisson", 0.0), observe(x, rng, "poisson", 0.0)
-    noise = let.Noise(1.0, np.float32(0))
-    system, planes = let.expand(y, noise, 3, False, [guide], np.ones(1, np.float32))
-    weights = system.solve()
-    direct = let.apply(y, noise, 3, False, [guide], np.ones(1, np.float32), weights)
+    x = np.resize(scene(61), shape) * 6
+    y, *guides = (observe(x, rng, "poisson", 0.0) for _ in range(1 + n_guides))
+    noise = let.Noise(1.0, rng.uniform(0, 2, shape).astype(np.float32) if mapped else np.float32(0.3))
+    relative = np.array([1.0, 0.3], np.float32)[:n_guides]
+    system, planes = let.expand(y, noise, levels, False, guides, relative)
+    weights = rng.normal(0, 0.2, system.cross.size)
+    direct = let.apply(y, noise, levels, False, guides, relative, weights)
     combined = planes[0] + weights.astype(np.float32) @ planes[1:]
     np.testing.assert_allclose(direct.ravel(), combined, atol=2e-4)
 

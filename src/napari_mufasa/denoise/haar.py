@@ -36,7 +36,7 @@ def levels_for(shape: tuple[int, ...], wanted: int) -> int:
     return level
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def analyse(a: Array, h: int, flat: bool) -> tuple[Array, Array]:
     """One level (half block ``h``): scaling coefficients (rows, cols) and detail bands (1 or 3, rows, cols)."""
     cols = a.shape[1] - h
@@ -61,7 +61,7 @@ def analyse(a: Array, h: int, flat: bool) -> tuple[Array, Array]:
     return s, d
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def children_sum(a: Array, h: int, signs: Array, flat: bool) -> Array:
     """Sum over the children of every block that carry a positive sign in ``signs``."""
     cols = a.shape[1] - h
@@ -83,7 +83,7 @@ def children_sum(a: Array, h: int, signs: Array, flat: bool) -> Array:
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def covered(b: Array, h: int, flat: bool) -> Array:
     """``b`` over the number of children per block and of blocks that cover each place: the synthesis's weights."""
     rows, cols = b.shape
@@ -97,7 +97,7 @@ def covered(b: Array, h: int, flat: bool) -> Array:
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def spread(band: Array, h: int, signs: Array, flat: bool, out: Array) -> None:
     """Add ``band`` with its children's signs to ``out`` (the level below), not yet divided by the coverage."""
     rows, cols = band.shape
@@ -113,7 +113,7 @@ def spread(band: Array, h: int, signs: Array, flat: bool, out: Array) -> None:
                 out[r + h, c + h] += signs[3] * band[r, c]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _shared(out: Array, h: int) -> None:
     """Divide each place by the number of children per block and of blocks that cover it."""
     rows, cols = out.shape
@@ -128,15 +128,18 @@ def _shared(out: Array, h: int) -> None:
             out[r, c] *= single
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _gathered(s: Array, a: Array, b: Array, e: Array, h: int, rows: int, cols: int) -> Array:
-    """`synthesise` of all bands at once: each row of blocks is spread over its two rows of children."""
+    """`synthesise` of all bands at once: each row of blocks is spread over its two rows of children.
+
+    One row of ``s`` stands for all.
+    """
     out = np.zeros((rows, cols), s.dtype)
     n = s.shape[1]
-    for r in range(s.shape[0]):
+    for r in range(a.shape[0]):
         top_left, top_right = out[r, :n], out[r, h : h + n]
         low_left, low_right = out[r + h, :n], out[r + h, h : h + n]
-        row_s, row_a, row_b, row_e = s[r], a[r], b[r], e[r]
+        row_s, row_a, row_b, row_e = s[min(r, s.shape[0] - 1)], a[r], b[r], e[r]
         for c in range(n):
             top_left[c] += (row_s[c] + row_b[c]) + (row_a[c] + row_e[c])
         for c in range(n):
@@ -149,23 +152,33 @@ def _gathered(s: Array, a: Array, b: Array, e: Array, h: int, rows: int, cols: i
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _lifted(s: Array, h: int, rows: int, cols: int) -> Array:
     """`synthesise` of scaling coefficients alone."""
-    out = np.zeros((rows, cols), s.dtype)
-    n = s.shape[1]
-    for r in range(s.shape[0]):
-        left, right, row = out[r, :n], out[r, h : h + n], s[r]
-        for c in range(n):
-            left[c] += row[c]
-        for c in range(n):
-            right[c] += row[c]
-    # From the bottom up, so that a row is added below before anything is added to it.
-    for r in range(s.shape[0] - 1, -1, -1):
-        above, below = out[r], out[r + h]
-        for c in range(cols):
-            below[c] += above[c]
-    _shared(out, h)
+    out = np.empty((rows, cols), s.dtype)
+    n_rows, n = s.shape
+    both = np.empty(n, s.dtype)
+    edge = min(h, n)
+    for r in range(rows):
+        inside = h <= r < n_rows
+        line, other = s[min(r, n_rows - 1) if inside or r < h else r - h], s[max(r - h, 0)]
+        if inside:
+            for c in range(n):
+                both[c] = line[c] + other[c]
+        else:
+            for c in range(n):
+                both[c] = line[c]
+        # Divided by the number of children per block and of blocks that cover each place.
+        single, double = np.float32(0.125 if inside else 0.25), np.float32(0.0625 if inside else 0.125)
+        left, middle, right = out[r, :edge], out[r, h:n], out[r, max(n, h) :]
+        for c in range(edge):
+            left[c] = single * both[c]
+        ahead = both[h:]
+        for c in range(len(middle)):
+            middle[c] = double * (ahead[c] + both[c])
+        end = both[n - len(right) :]
+        for c in range(len(right)):
+            right[c] = single * end[c]
     return out
 
 
@@ -175,7 +188,7 @@ def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape
         if bands is None and low is not None:
             return np.asarray(_lifted(low, h, shape[0], shape[1]))
         if bands is not None:
-            sums = np.zeros_like(bands[0]) if low is None else low
+            sums = np.zeros((1, bands.shape[2]), bands.dtype) if low is None else low
             return np.asarray(_gathered(sums, bands[0], bands[1], bands[2], h, shape[0], shape[1]))
     like = low if low is not None else bands
     assert like is not None
@@ -189,7 +202,7 @@ def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape
     return level_below
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _add_shifted(total: Array, a: Array, dr: int, dc: int) -> None:
     rows, cols = a.shape
     first, last = max(0, -dc), min(cols, cols - dc)
@@ -199,7 +212,7 @@ def _add_shifted(total: Array, a: Array, dr: int, dc: int) -> None:
             here[c] += there[c]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def mean_beside(a: Array, distance: int, flat: bool) -> Array:
     """Mean over the (two or eight) blocks ``distance`` away; 0 where there are none.
 
@@ -233,7 +246,7 @@ def mean_beside(a: Array, distance: int, flat: bool) -> Array:
     return total
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _squares(d: Array, scale: float) -> Array:
     bands, rows, cols = d.shape
     out = np.zeros((rows, cols), d.dtype)

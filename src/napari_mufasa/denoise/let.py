@@ -15,19 +15,20 @@ replaces the operator: a combination of F here, with ``step`` less and with ``st
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import haar
+from .fused import level_pass, settle
 from .kernels import (
     BUMP,
     OWN,
     PER_GUIDE,
     SPATIAL,
     bumps,
-    combine,
-    combine_guide,
+    gram,
     linear_terms,
     predictions,
     surroundings,
@@ -98,7 +99,11 @@ class System:
 
     def reduced(self, selection: Array) -> System:
         """The system of fewer weights, of which ``selection`` (all, fewer) makes all."""
-        gram, cross = selection.T @ self.gram @ selection, selection.T @ self.cross
+        if selection.shape[0] == selection.shape[1]:
+            return self
+        # Not the matrix product: it starts threads, which cost far more than this where processors are busy.
+        gram = np.einsum("ka,kb->ab", selection, np.einsum("kl,lb->kb", self.gram, selection))
+        cross = np.einsum("ka,k->a", selection, self.cross)
         return System(gram, cross, self.rest, self.noise, self.n_pixels, self.levels, self.guides)
 
     def risk(self, weights: Array) -> float:
@@ -142,6 +147,8 @@ class System:
 #: Candidates kept in the smaller models, as places in one level's spatial and one guide's candidates.
 CORE_SPATIAL, CORE_GUIDE = (0, 1, 3, 4), (0, 3)
 TINY_SPATIAL, TINY_GUIDE = (0, 3), (0,)
+#: Parts into which the windows are divided to judge weights on data that did not choose them.
+FOLDS = 5
 #: A model may have one weight for so many pixels.
 PIXELS_PER_WEIGHT = 25
 
@@ -165,27 +172,28 @@ def selections(levels: int, guides: int) -> list[Array]:
 def learn(parts: list[System]) -> tuple[Array, float, float]:
     """Weights of least estimated risk over all windows, their honest risk, and the noise variance of the data.
 
-    The risk of weights on the data that chose them is too low. Each window is therefore judged with the weights that
-    the other windows choose; a single window gets its expected optimism added. The same judgement chooses between the
-    full set of candidates and smaller ones, which small or very noisy images need.
+    The risk of weights on the data that chose them is too low. Each fold of the windows is therefore judged with the
+    weights that the others choose; a single window gets its expected optimism added. The same judgement chooses
+    between the full set of candidates and smaller ones, which small or very noisy images need.
     """
     total = parts[0]
     for part in parts[1:]:
         total = total + part
     best: tuple[Array, float] = (np.zeros(total.cross.size), np.inf)
+    folds = [sum(parts[k + FOLDS :: FOLDS], parts[k]) for k in range(min(FOLDS, len(parts)))]
     for selection in selections(total.levels, total.guides):
         whole = total.reduced(selection)
         if whole.n_pixels < PIXELS_PER_WEIGHT * whole.cross.size:
             continue
         weights = whole.solve()
-        if len(parts) == 1:
+        if len(folds) == 1:
             risk = whole.risk(weights) + whole.optimism()
         else:
-            pieces = [part.reduced(selection) for part in parts]
+            pieces = [fold.reduced(selection) for fold in folds]
             errors = [piece.risk(whole.less(piece).solve()) * piece.n_pixels for piece in pieces]
             judged = float(np.sum(errors)) / whole.n_pixels
             fitted = whole.risk(weights)
-            # With n of n + 1 windows the weights are a little worse than those in use: of the distance between the
+            # With n of n + 1 folds the weights are a little worse than those in use: of the distance between the
             # two risks, 2 of 2 + 1/n parts are optimism.
             n = len(pieces) - 1
             risk = fitted + (judged - fitted) * 2.0 / (2.0 + 1.0 / n)
@@ -244,6 +252,11 @@ class Bands:
         self.distance, self.flat = distance, flat
         self.zero = np.zeros((3, 1, 1), self.d.dtype)
 
+    @cached_property
+    def predictions(self) -> Array:
+        """What the blocks beside say of the details."""
+        return predictions(self.d, self.s, self.distance, self.flat)
+
     def bump(self, guide: int) -> Array:
         """Threshold of the details (guide -1) or of their difference from a guide."""
         reference = np.broadcast_to(self.zero, self.d.shape) if guide < 0 else self.guides[guide]
@@ -253,25 +266,12 @@ class Bands:
     def guide_width(self, guide: int) -> float:
         return self.width * (1.0 if guide < 0 else 1.0 + float(self.guide_noise[guide]))
 
-    def combined(self, w: Array) -> Array:
-        """Details of the sum of all candidates with weights ``w``, without storing them."""
-        out: Array = combine(
-            self.d, self.s, self.rest, self.narrow, self.wide, self.own, self.guide_width(-1), w[:SPATIAL],
-            self.distance, self.flat,
-        )  # fmt: skip
-        for k, guide in enumerate(self.guides):
-            share = w[SPATIAL + PER_GUIDE * k : SPATIAL + PER_GUIDE * (k + 1)]
-            combine_guide(
-                out, self.d, self.s, self.rest, guide, self.narrow, self.wide, self.own, self.guide_width(k), share
-            )
-        return out
-
     def candidates(self) -> list[Array]:
         """Details (3, rows, cols) of every candidate, in the order of the weights."""
         bump = self.bump(-1)
         out = [self.d * g for g in (1.0, self.narrow, self.wide)]
         out += [self.d * (bump * g) for g in (np.float32(1.0), self.narrow, self.wide)]
-        for prediction in predictions(self.d, self.s, self.distance, self.flat):
+        for prediction in self.predictions:
             out += [prediction, prediction * self.narrow]
         for k, guide in enumerate(self.guides):
             bump = self.bump(k)
@@ -302,7 +302,7 @@ class Bands:
             return out
 
         out = sums(linear, classes) + sums(thresholded(-1), classes)
-        for prediction in predictions(self.d, self.s, self.distance, self.flat):
+        for prediction in self.predictions:
             out += sums(linear_terms(prediction, y, np.zeros_like(v), 0.0, bands), classes[:2])
         for k, guide in enumerate(self.guides):
             known = linear_terms(guide, y, np.zeros_like(v), 0.0, bands)
@@ -362,7 +362,7 @@ def expand(
         planes.append(down(guide, levels) - fixed)
         cross.append(float((b64 * guide).sum()) - fixed_cross)
     stacked = np.stack([fixed, *planes]).reshape(len(planes) + 1, -1)
-    products = (stacked @ stacked.T).astype(np.float64)
+    products = gram(stacked)
     data = image.astype(np.float64)
     total_noise = noise.alpha * float(data.sum()) + float(variance.sum(dtype=np.float64))
     energy_x = float(np.sum(data * data)) - total_noise
@@ -383,21 +383,39 @@ def apply(
 ) -> Array:
     """The estimator with given weights, level by level and without storing the candidates."""
     per_level = SPATIAL + PER_GUIDE * len(guides)
-    weights = np.asarray(weights, image.dtype)
-    a, lows = image, list(guides)
-    v = np.broadcast_to(noise.variance, image.shape).astype(image.dtype)
-    kept: list[tuple[tuple[int, ...], Array]] = []
+    weights = np.asarray(weights, np.float32)
+    a = np.ascontiguousarray(image, np.float32)
+    lows = np.stack([np.asarray(guide, np.float32) for guide in guides]) if guides else np.zeros((0, 1, 1), np.float32)
+    v = np.broadcast_to(noise.variance, image.shape)
+    v = np.ascontiguousarray(v, np.float32) if flat else _one_row_for_all(v)
+    shapes: list[tuple[int, ...]] = []
+    gathered: list[Array] = []
     for number in range(levels):
-        bands, v, lows = _analysed(a, v, lows, noise, 2**number, flat, guide_noise)
+        h = 2**number
         w = weights[number * per_level : (number + 1) * per_level]
-        out = bands.combined(w)
-        kept.append((a.shape, out[: bands.n]))
-        a = bands.s
+        shapes.append(a.shape)
+        if flat:
+            bands, v, sums = _analysed(a, v, list(lows), noise, h, flat, guide_noise)
+            a, lows = bands.s, np.stack(sums) if sums else lows
+            gathered.append(sum(share * c for share, c in zip(w, bands.candidates(), strict=True))[: bands.n])
+        else:
+            v = haar.children_sum(v, h, haar.LOW_2D, flat) if len(v) > 1 else 2.0 * (v[:, h:] + v[:, :-h])
+            a, lows, out = level_pass(a, lows, v, noise.alpha, 3.0 * BUMP, guide_noise, w, h)
+            gathered.append(out)
     extra = weights[levels * per_level :]
-    plane = a * image.dtype.type(1.0 - float(extra.sum()))
+    plane = a * np.float32(1.0 - float(extra.sum()))
     for weight, guide in zip(extra, lows, strict=True):
-        plane = plane + weight * guide
+        plane += weight * guide
     for number in reversed(range(levels)):
-        shape, details = kept[number]
-        plane = haar.synthesise(plane, details, 2**number, flat, shape)
+        if flat:
+            plane = haar.synthesise(plane, gathered[number], 2**number, flat, shapes[number])
+        else:
+            settle(plane, gathered[number], 2**number)
+            plane = gathered[number]
     return np.asarray(plane)
+
+
+def _one_row_for_all(variance: Array) -> Array:
+    """The first row of a map whose rows are all the same, else the map."""
+    same = variance.strides[0] == 0 or bool((variance == variance[:1]).all())
+    return np.ascontiguousarray(variance[:1] if same else variance, np.float32)

@@ -136,41 +136,42 @@ class _Frames:
 
         self.neighbours = NEIGHBOURS if method == "pure-let-movie" and shape[0] > 1 else 0
 
-    def read(self, start: int, stop: int) -> NDArray[np.float32]:
-        """Recorded frames as photoelectrons."""
-        counts = np.asarray(self.movie[start:stop])
+    def read(self, start: int, stop: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
+        """Recorded frames, or a tile of them, as photoelectrons."""
+        counts, camera = np.asarray(self.movie[(slice(start, stop), *tile)]), part_of(self.camera, tile)
         if not np.issubdtype(counts.dtype, np.number) or np.iscomplexobj(counts):
             raise MufasaError(f"movie has type {counts.dtype}; give real numbers (ADU)")
         if counts.dtype.kind == "f" and not np.all(np.isfinite(counts)):
             raise MufasaError(
                 f"movie frames {start} to {stop - 1} hold values that are not finite; replace them before denoising"
             )
-        cam.check_counts(counts, self.camera)
-        return cam.photoelectrons(counts, self.camera)
+        cam.check_counts(counts, camera)
+        return cam.photoelectrons(counts, camera)
 
-    def noise(self, electrons: Array) -> Any:
-        """Noise of frames (frame, y, x) of photoelectrons; the read noise is seen through the gain's slope."""
+    def noise(self, electrons: Array, tile: tuple[slice, ...] = ()) -> Any:
+        """Noise of one frame of photoelectrons, or a tile of it; the read noise is seen through the gain's slope."""
         from .let import Noise
 
-        return Noise(self.alpha, read_variance(electrons, self.camera), self.multiplied)
+        return Noise(self.alpha, read_variance(electrons, part_of(self.camera, tile)), self.multiplied)
 
     def learn(self, cancel: Callable[[], bool] | None) -> None:
         """Weights of least pooled risk over frames spread evenly through the movie."""
         if self.method in ("source", "none"):
             return
         from .let import learn
-        from .purelet import LEVELS
-        from .temporal import sample_frames, sample_systems, sample_windows
+        from .purelet import LEVELS, depth_for
+        from .temporal import sample_frames, sample_system, sample_windows
 
         chosen = sample_frames(self.shape[0], SAMPLES)
 
         def systems(number: int, t: int) -> list[Any]:
             _stop_if(cancel)
             first, last = self.reach(t, t + 1)
-            data = self.read(first, last)
-            tiles = sample_windows(self.shape[1:], number, len(chosen))
-            noise = self.noise(data[t - first])
-            return sample_systems(data, t - first, noise, self.neighbours, LEVELS, tiles)
+            depth, found = depth_for(self.shape[1:], LEVELS, False), []
+            for tile in sample_windows(self.shape[1:], number, len(chosen)):
+                data = self.read(first, last, tile)
+                found += sample_system(data, t - first, self.noise(data[t - first], tile), self.neighbours, depth)
+            return found
 
         with ThreadPoolExecutor(max_workers=WORKERS) as pool:
             parts = [part for found in pool.map(systems, range(len(chosen)), chosen) for part in found]
@@ -230,6 +231,14 @@ class _Frames:
         return out
 
 
+def part_of(camera: Camera, tile: tuple[slice, ...]) -> Camera:
+    """The camera of a tile (rows, columns) of its frames: the same, its maps cut."""
+    names = [name for name in ("offset_map_adu", "gain_map", "variance_map_e2") if getattr(camera, name) is not None]
+    if not tile or not names:
+        return camera
+    return camera.model_copy(update={name: getattr(camera, name)[tile] for name in names})
+
+
 def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
     """Read noise variance of one frame (y, x) in photoelectrons squared.
 
@@ -248,7 +257,7 @@ def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
         slope = (cam.cmos_response(local + width, camera) - cam.cmos_response(local - width, camera)) / (2 * width)
     elif camera.gain_map is not None:
         slope = slope * camera.gain_map.astype(np.float32)
-    return np.broadcast_to(variance_e2 / np.square(slope), electrons.shape).astype(np.float32)
+    return np.broadcast_to(np.asarray(variance_e2 / np.square(slope), np.float32), electrons.shape)
 
 
 def source_recipe(counts: Array, camera: Camera) -> NDArray[np.float32]:

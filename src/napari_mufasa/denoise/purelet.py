@@ -10,6 +10,7 @@ import numpy as np
 from napari_mufasa.errors import MufasaError
 
 from . import haar, let
+from .fused import DEEPEST
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -174,7 +175,7 @@ def depth_for(shape: tuple[int, ...], levels: int, flat: bool) -> int:
     """Levels used for a plane: those that fit its smallest window."""
     rows, cols = windows(shape, flat)[0]
     sizes = (cols.stop,) if flat else (rows.stop, cols.stop)
-    return haar.levels_for(sizes, levels)
+    return haar.levels_for(sizes, levels if flat else min(levels, DEEPEST))
 
 
 def risk_systems(

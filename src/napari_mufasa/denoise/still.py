@@ -36,55 +36,111 @@ TAPS = (1.0 / 9.0, 2.0 / 9.0, 3.0 / 9.0)
 SHARE = (2 * TAPS[0] ** 2 + 2 * TAPS[1] ** 2 + TAPS[2] ** 2) ** 2
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _along_row(out: Array, a: Array) -> None:
+    """A row smoothed with `TAPS`, the outermost pixels repeated; ``a`` and ``out`` must not overlap."""
+    cols = len(a)
+    far, near, middle = np.float32(TAPS[0]), np.float32(TAPS[1]), np.float32(TAPS[2])
+    if cols > 4:
+        inner, a0, a1, a2, a3, a4 = out[2:-2], a[:-4], a[1:-3], a[2:-2], a[3:-1], a[4:]
+        for c in range(len(inner)):
+            inner[c] = far * (a0[c] + a4[c]) + near * (a1[c] + a3[c]) + middle * a2[c]
+    for part in range(2):
+        for c in range(min(2, cols)) if part == 0 else range(max(cols - 2, 0), cols):
+            total = middle * a[c] + far * (a[max(c - 2, 0)] + a[min(c + 2, cols - 1)])
+            out[c] = total + near * (a[max(c - 1, 0)] + a[min(c + 1, cols - 1)])
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _across_rows(out: Array, ring: Array, r: int, rows: int) -> None:
+    """Row ``r`` of the smoothed image from a ring of five rows that are smoothed along themselves."""
+    far, near, middle = np.float32(TAPS[0]), np.float32(TAPS[1]), np.float32(TAPS[2])
+    a0, a1, a2 = ring[max(r - 2, 0) % 5], ring[max(r - 1, 0) % 5], ring[r % 5]
+    a3, a4 = ring[min(r + 1, rows - 1) % 5], ring[min(r + 2, rows - 1) % 5]
+    for c in range(len(out)):
+        out[c] = far * (a0[c] + a4[c]) + near * (a1[c] + a3[c]) + middle * a2[c]
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def smooth(a: Array) -> Array:
     """``a`` smoothed with `TAPS` along both axes; the outermost pixels are repeated."""
     rows, cols = a.shape
-    far, near, here = np.float32(TAPS[0]), np.float32(TAPS[1]), np.float32(TAPS[2])
-    down = np.empty_like(a)
+    ring = np.empty((5, cols), a.dtype)
     out = np.empty_like(a)
-    for r in range(rows):
-        r0, r1, r3, r4 = max(r - 2, 0), max(r - 1, 0), min(r + 1, rows - 1), min(r + 2, rows - 1)
-        for c in range(cols):
-            down[r, c] = far * (a[r0, c] + a[r4, c]) + near * (a[r1, c] + a[r3, c]) + here * a[r, c]
-    for r in range(rows):
-        for c in range(2, cols - 2):
-            out[r, c] = far * (down[r, c - 2] + down[r, c + 2]) + here * down[r, c]
-            out[r, c] += near * (down[r, c - 1] + down[r, c + 1])
-        for part in range(2):
-            for c in range(min(2, cols)) if part == 0 else range(max(cols - 2, 0), cols):
-                total = here * down[r, c]
-                total += far * (down[r, max(c - 2, 0)] + down[r, min(c + 2, cols - 1)])
-                out[r, c] = total + near * (down[r, max(c - 1, 0)] + down[r, min(c + 1, cols - 1)])
+    for r in range(-2, rows):
+        if r + 2 < rows:
+            _along_row(ring[(r + 2) % 5], a[r + 2])
+        if r >= 0:
+            _across_rows(out[r], ring, r, rows)
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _mean_of_recent(out: Array, y: Array, before: Array, earlier: Array, k: int) -> None:
+    """Mean of the last ``k`` (1 to 3) frames of a row."""
+    second, third = np.float32(k > 1), np.float32(k > 2)
+    share = np.float32(1.0 / k)
+    for c in range(len(out)):
+        out[c] = share * (y[c] + second * before[c] + third * earlier[c])
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _believed(out: Array, s_recent: Array, s_mean: Array, number: Array, variance: Array, alpha: float, k: int) -> None:
+    """How far a row's longer mean still holds, from 0 to 1."""
+    floor, alpha32, share = np.float32(FLOOR * alpha), np.float32(alpha), np.float32(SHARE)
+    top, inverse_span = np.float32(BELIEVED**2), np.float32(1.0 / (BELIEVED**2 - DOUBTED**2))
+    one, zero, tiny, inverse = np.float32(1.0), np.float32(0.0), np.float32(1e-12), np.float32(1.0 / k)
+    for c in range(len(out)):
+        apart = s_recent[c] - s_mean[c]
+        level = share * (alpha32 * max(s_mean[c], floor) + variance[c]) * (inverse + one / (number[c] + one))
+        out[c] = min(max((top - apart * apart / max(level, tiny)) * inverse_span, zero), one)
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _followed(out: Array, kept: Array, number: Array, mean: Array, y: Array, recent: Array) -> None:
+    """The mean with the new frame where it still holds, else that of the recent frames."""
+    one = np.float32(1.0)
+    for c in range(len(out)):
+        longer = (number[c] * mean[c] + y[c]) / (number[c] + one)
+        out[c] = recent[c] + kept[c] * (longer - recent[c])
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _counted(out: Array, kept: Array, number: Array, k: int, most: float) -> None:
+    one, limit, after = np.float32(1.0), np.float32(most), np.float32(min(k, 2))
+    for c in range(len(out)):
+        out[c] = after + kept[c] * (min(number[c] + one, limit) - after)
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _step(
-    y: Array, recent: Array, s_recent: Array, k: float, mean: Array, number: Array, s_mean: Array, variance: Array,
-    alpha: float, most: float,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Mean and number of frames after frame ``y``; ``recent`` is the mean of the last ``k`` frames with ``y``."""
+    y: Array, before: Array, earlier: Array, k: int, mean: Array, number: Array, variance: Array, alpha: float,
+    most: float,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Smoothed mean before frame ``y``, and mean and number of frames after it; ``k`` frames were seen of late.
+
+    One pass: every row is read once, and what its neighbours need of it stays in the cache.
+    """
     rows, cols = y.shape
-    new_mean, new_number = np.empty_like(mean), np.empty_like(number)
-    floor = np.float32(FLOOR * alpha)
-    top, span = np.float32(BELIEVED**2), np.float32(BELIEVED**2 - DOUBTED**2)
-    alpha32, share, inverse = np.float32(alpha), np.float32(SHARE), np.float32(1.0 / k)
-    one, after = np.float32(1.0), np.float32(min(k, 2.0))
-    limit = np.float32(most)
-    for r in range(rows):
-        for c in range(cols):
-            n = number[r, c]
-            before = (n * mean[r, c] + y[r, c]) / (n + one)
-            apart = s_recent[r, c] - s_mean[r, c]
-            level = share * (alpha32 * max(s_mean[r, c], floor) + variance[r, c]) * (inverse + one / (n + one))
-            kept = min(max((top - apart * apart / max(level, np.float32(1e-12))) / span, np.float32(0.0)), one)
-            new_mean[r, c] = kept * before + (one - kept) * recent[r, c]
-            new_number[r, c] = kept * min(n + one, limit) + (one - kept) * after
-    return new_mean, new_number
+    s_mean, new_mean, new_number = np.empty_like(mean), np.empty_like(mean), np.empty_like(number)
+    ring_mean, ring_recent = np.empty((5, cols), mean.dtype), np.empty((5, cols), mean.dtype)
+    recents, s_recent, kept = np.empty((5, cols), mean.dtype), np.empty(cols, mean.dtype), np.empty(cols, mean.dtype)
+    for r in range(-2, rows):
+        ahead = r + 2
+        if ahead < rows:
+            _along_row(ring_mean[ahead % 5], mean[ahead])
+            _mean_of_recent(recents[ahead % 5], y[ahead], before[ahead], earlier[ahead], k)
+            _along_row(ring_recent[ahead % 5], recents[ahead % 5])
+        if r >= 0:
+            _across_rows(s_mean[r], ring_mean, r, rows)
+            _across_rows(s_recent, ring_recent, r, rows)
+            _believed(kept, s_recent, s_mean[r], number[r], variance[r], alpha, k)
+            _followed(new_mean[r], kept, number[r], mean[r], y[r], recents[r % 5])
+            _counted(new_number[r], kept, number[r], k, most)
+    return s_mean, new_mean, new_number
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _joined(
     past: Array, n_past: Array, s_past: Array, future: Array, n_future: Array, s_future: Array, s_now: Array,
     variance: Array, alpha: float,
@@ -96,27 +152,46 @@ def _joined(
     """
     rows, cols = past.shape
     out = np.empty_like(past)
-    floor = np.float32(FLOOR * alpha)
-    top, span = np.float32(UNLIKE**2), np.float32(UNLIKE**2 - ALIKE**2)
-    alpha32, share, one, half = np.float32(alpha), np.float32(SHARE), np.float32(1.0), np.float32(0.5)
     total = 0.0
     for r in range(rows):
-        row_total: Any = np.float32(0.0)
-        for c in range(cols):
-            n, m = n_past[r, c], n_future[r, c]
-            by_frames = (n * past[r, c] + m * future[r, c]) / (n + m)
-            s_mean = (n * s_past[r, c] + m * s_future[r, c]) / (n + m)
-            one_frame = max(share * (alpha32 * max(s_mean, floor) + variance[r, c]), np.float32(1e-12))
-            level = one_frame * (one / n + one / m)
-            apart = s_past[r, c] - s_future[r, c]
-            nearer = apart * (s_now[r, c] - half * (s_past[r, c] + s_future[r, c])) / one_frame
-            odds = one / (one + np.exp(-min(max(nearer, np.float32(-20.0)), np.float32(20.0))))
-            plain = future[r, c] + odds * (past[r, c] - future[r, c])
-            agree = min(max((top - apart * apart / level) / span, np.float32(0.0)), one)
-            out[r, c] = plain + agree * (by_frames - plain)
-            row_total += one / (n + m)
-        total += row_total
+        total += _joined_row(
+            out[r], past[r], n_past[r], s_past[r], future[r], n_future[r], s_future[r], s_now[r], variance[r], alpha
+        )
     return out, total / (rows * cols)
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _joined_row(
+    out: Array, past: Array, n_past: Array, s_past: Array, future: Array, n_future: Array, s_future: Array,
+    s_now: Array, variance: Array, alpha: float,
+) -> Any:  # fmt: skip
+    floor = np.float32(FLOOR * alpha)
+    top, inverse_span = np.float32(UNLIKE**2), np.float32(1.0 / (UNLIKE**2 - ALIKE**2))
+    alpha32, share, half, tiny = np.float32(alpha), np.float32(SHARE), np.float32(0.5), np.float32(1e-12)
+    zero, one, most, step = np.float32(0.0), np.float32(1.0), np.float32(20.0), np.float32(1.0 / 256.0)
+    inverse_sum = zero
+    for c in range(len(out)):
+        n, m, p, f, s, q = n_past[c], n_future[c], past[c], future[c], s_past[c], s_future[c]
+        inverse = one / (n + m)
+        by_frames = (n * p + m * f) * inverse
+        one_frame = max(share * (alpha32 * max((n * s + m * q) * inverse, floor) + variance[c]), tiny)
+        apart = s - q
+        nearer = apart * (s_now[c] - half * (s + q)) / one_frame
+        # exp(-nearer) as a power of 256, which the processor takes of eight columns at once.
+        power = one - step * min(max(nearer, -most), most)
+        power *= power
+        power *= power
+        power *= power
+        power *= power
+        power *= power
+        power *= power
+        power *= power
+        power *= power
+        plain = f + (p - f) / (one + power)
+        agree = min(max((top - apart * apart * n * m * inverse / one_frame) * inverse_span, zero), one)
+        out[c] = plain + agree * (by_frames - plain)
+        inverse_sum += inverse
+    return inverse_sum
 
 
 def walk(data: Array, order: Iterable[int], noise: Noise, most: int) -> Iterator[tuple[int, Array, Array, Array]]:
@@ -126,16 +201,16 @@ def walk(data: Array, order: Iterable[int], noise: Noise, most: int) -> Iterator
     last: list[Array] = []
     for t in order:
         y = data[t]
+        last = [y, *last][:RECENT]
         if mean is None or number is None:
-            mean, number, last = y, np.ones_like(y), [y]
+            mean, number = y, np.ones_like(y)
             continue
-        s_mean = smooth(mean)
-        yield t, mean, number, s_mean
-        last = [*last, y][-RECENT:]
-        recent = sum(last[1:], last[0]) * np.float32(1.0 / len(last))
-        mean, number = _step(
-            y, recent, smooth(recent), float(len(last)), mean, number, s_mean, variance, noise.alpha, float(most)
+        before, earlier = last[min(1, len(last) - 1)], last[-1]
+        s_mean, new_mean, new_number = _step(
+            y, before, earlier, len(last), mean, number, variance, noise.alpha, float(most)
         )
+        yield t, mean, number, s_mean
+        mean, number = new_mean, new_number
 
 
 def past_and_future(data: Array, first: int, stop: int, noise: Noise, most: int) -> Iterator[tuple[int, Array, float]]:

@@ -86,27 +86,24 @@ def movie_weights(
 ) -> NDArray[np.float64] | None:
     """Weights of least pooled risk over ``samples`` frames; None where the data cannot be improved."""
     parts: list[let.System] = []
+    depth = depth_for(data.shape[1:], levels, False)
     chosen = sample_frames(data.shape[0], samples)
     for number, t in enumerate(chosen):
-        tiles = sample_windows(data.shape[1:], number, len(chosen))
         first = max(0, t - neighbours)
-        parts += sample_systems(data[first : t + neighbours + 1], t - first, noise, neighbours, levels, tiles)
+        for tile in sample_windows(data.shape[1:], number, len(chosen)):
+            part = np.ascontiguousarray(data[(slice(first, t + neighbours + 1), *tile)])
+            parts += sample_system(part, t - first, noise.within(tile), neighbours, depth)
     return chosen_weights(parts)
 
 
-def sample_systems(
-    data: Array, t: int, noise: let.Noise, neighbours: int, levels: int, tiles: list[tuple[slice, slice]]
-) -> list[let.System]:
-    """The risk system of each window of frame ``t`` of ``data``, which holds what its guides are made of."""
-    depth = depth_for(data.shape[1:], levels, False)
+def sample_system(data: Array, t: int, noise: let.Noise, neighbours: int, depth: int) -> list[let.System]:
+    """The risk system of frame ``t`` of ``data``, a window that holds what its guides are made of, if it has one."""
     if depth == 0 or (noise.alpha == 0 and not np.any(noise.variance)):
         return []
-    parts = []
-    for tile in tiles:
-        part, inside = np.ascontiguousarray(data[(slice(None), *tile)]), noise.within(tile)
-        for _, (guides, relative) in guided(part, t, t + 1, inside, neighbours):
-            parts.append(let.expand(part[t], inside, depth, False, guides, relative)[0])
-    return parts
+    return [
+        let.expand(data[t], noise, depth, False, guides, relative)[0]
+        for _, (guides, relative) in guided(data, t, t + 1, noise, neighbours)
+    ]
 
 
 def sample_frames(n_frames: int, samples: int) -> list[int]:
