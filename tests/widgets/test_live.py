@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa.widgets.latest import Latest
-from napari_mufasa.widgets.quick_distance import quick_distance
+from napari_mufasa.widgets.quick_distance import quick_distance, thinned
 from napari_mufasa.widgets.session import session_of
 
 
@@ -101,6 +101,25 @@ def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot
     assert set(compare.live.data.columns) == {"photoelectrons per frame", "measured", "mufasa"}
     assert np.allclose(compare.live.data["measured"].sum(), compare.live.data["mufasa"].sum(), rtol=0.05)
     qtbot.waitUntil(lambda: not compare.live.busy and compare.live.picture.image is not None, timeout=20_000)
+
+
+def test_thinned_traces_are_few_and_tell_nearly_the_same_distance():
+    from napari_mufasa import compare
+
+    rng = np.random.default_rng(5)
+    measured = rng.gamma(2, rng.gamma(20, 5, (500, 1)), (500, 2000)).astype(np.float32)
+    simulated = rng.gamma(2, 105, (64, 2000)).astype(np.float32)
+    left = thinned(measured, 50_000)
+    assert left.shape == (500, 100)
+    assert np.allclose(left.mean(axis=1), measured.mean(axis=1), rtol=1e-5)
+    off = compare.wasserstein(left, measured)
+    assert 0 < off < 0.003 * measured.std()
+    assert abs(compare.wasserstein(left, simulated) - compare.wasserstein(measured, simulated)) <= off + 1e-4
+    rng_of_floor = [np.random.default_rng(0) for _ in range(2)]
+    floors = [compare.floor(t, n_splits=20, rng=r).value for t, r in zip((left, measured), rng_of_floor, strict=True)]
+    assert floors[0] == pytest.approx(floors[1], rel=0.02)
+    few = measured[:, :90]
+    assert thinned(few, 50_000) is few
 
 
 def settle(live, qtbot):

@@ -151,7 +151,7 @@ class ComparePanel(Panel):
         distance = self.session.live.distance
         if distance is None or self.session.live.busy:
             return
-        shown = distance.distribution()
+        shown = distance.distribution
         data = pd.DataFrame({shown.x_label: shown.x, **shown.curves})
         w1 = {"mufasa": distance.w1}
         self.live.draw(lambda figure: _draw_distribution(figure, shown, w1), data)

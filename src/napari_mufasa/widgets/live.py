@@ -32,7 +32,7 @@ class LiveDistance(QObject):
         self.distance: QuickDistance | None = None
         self.problem = ""
         self._traces: Any = None
-        self._floor: Any = None
+        self._known: Any = None
         self._stale = True
         self._lookers: list[QLabel] = []
         self._latest = Latest(WAIT_MS, self)
@@ -60,12 +60,12 @@ class LiveDistance(QObject):
             self.distance = None
             self.changed.emit()
             return
-        traces, model, floor = self._traces, self.session.model, self._floor
+        traces, model, known = self._traces, self.session.model, self._known
 
         def work(cancel: Any) -> QuickDistance:
             from napari_mufasa.widgets.quick_distance import quick_distance
 
-            return quick_distance(traces, model, floor=floor, cancel=cancel)
+            return quick_distance(traces, model, known=known, cancel=cancel)
 
         self._latest.request(work)
         self.changed.emit()
@@ -100,13 +100,13 @@ class LiveDistance(QObject):
         comparison = self.session.results.get("comparison")
         compared = comparison.measured if comparison is not None else None
         self._traces = (compared or traces) if newest == "comparison" else (traces or compared)
-        self._floor = None
+        self._known = None
 
     def _on_arrived(self, outcome: Any) -> None:
         self.problem = "" if outcome.error is None else str(outcome.error)
         if outcome.error is None:
             self.distance = outcome.value
-            self._floor = outcome.value.floor
+            self._known = outcome.value.known
         self.changed.emit()
 
 
