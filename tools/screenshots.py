@@ -86,6 +86,7 @@ def story(viewer: Any, workflow: Any) -> Iterator[str]:
     yield "4-molecules"
     workflow.show_step(4)
     workflow.step("Model").effects.add("stage_drift")
+    settle(workflow)
     yield "5-model"
     workflow.step("Model").effects.remove_button.click()
     workflow.show_step(5)

@@ -178,25 +178,38 @@ def open_envelope(directory: Path, report: Report) -> list[str]:
 
 
 def open_viewer(directory: Path) -> None:
-    """napari with the movie, its denoised form and the molecules; returns when the window is closed."""
+    """napari with the workflow, the movie and its dark frames, its denoised form and the molecules; returns when the
+    window is closed."""
     import napari
     import pandas as pd
 
+    from napari_mufasa.napari_io import movie_layer
+    from napari_mufasa.widgets.session import session_of
+
     viewer = napari.Viewer(title="napari-mufasa demo")
-    model = io.read_movie(directory / "movie.ome.tif").model
-    size_um = (model.acquisition.pixel_size_nm if model else 1000.0) / 1000
-    scale = (1.0, size_um, size_um)
-    units = ("pixel", "um", "um")
-    viewer.add_image(io.load(directory / "movie.ome.tif"), name="movie", scale=scale, units=units)
-    viewer.add_image(
-        io.load(directory / "denoised.ome.tif"), name="denoised", scale=scale, units=units, visible=False
-    )  # fmt: skip
+    viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
+    dark, dark_options, _ = movie_layer(directory / "dark.ome.tif")
+    data, options, _ = movie_layer(directory / "movie.ome.tif")
+    space = {name: options[name] for name in ("scale", "units", "axis_labels") if name in options}
+    ours = {io.METADATA_KEY: {"role": "dark frames"}}
+    viewer.add_image(dark, **(dark_options | space | {"visible": False, "metadata": ours}))
+    movie = viewer.add_image(data, **options)
+    photons, photons_options, _ = movie_layer(directory / "denoised.ome.tif")
+    ours = {io.METADATA_KEY: {"role": "photons"}}
+    viewer.add_image(photons, **(photons_options | space | {"visible": False, "metadata": ours}))
     table = pd.read_csv(directory / "molecules.csv")
-    kept = table[table["kept"]]
+    kept = table[table["kept"]].reset_index(drop=True)
     viewer.add_points(
-        kept[["y_px", "x_px"]].to_numpy(), name="molecules", scale=scale[1:], units=units[1:], size=6,
-        features=kept.reset_index(drop=True), face_color="transparent", border_color="cyan",
+        kept[["y_px", "x_px"]].to_numpy(), name="molecules", scale=movie.scale[-2:], units=movie.units[-2:], size=6,
+        features=kept, face_color="transparent", border_color="cyan", border_width=0.07,
     )  # fmt: skip
+    session = session_of(viewer)
+    session.set_movie(movie)
+    session.set_dark(viewer.layers[0])
+    model = io.read_movie(directory / "movie.ome.tif").model
+    if model is not None:
+        session.set_model(model, f"metadata of {movie.name}")
+    viewer.dims.set_point(0, 0)
     napari.run()
 
 

@@ -98,7 +98,7 @@ def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot
     assert live.distance.w1 == pytest.approx(true.w1)  # the same chance: only the model makes a difference
     compare.tabs.setCurrentIndex(2)
     assert f"{live.distance.w1:.2f}" in compare.live_line.text()
-    assert set(compare.live.data.columns) == {"photoelectrons per frame", "measured", "mufasa"}
+    assert set(compare.live.data.columns) == {"signal per frame (photoelectrons)", "measured", "mufasa"}
     assert np.allclose(compare.live.data["measured"].sum(), compare.live.data["mufasa"].sum(), rtol=0.05)
     qtbot.waitUntil(lambda: not compare.live.busy and compare.live.picture.image is not None, timeout=20_000)
 

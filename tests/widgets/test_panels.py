@@ -88,6 +88,7 @@ def test_molecules_are_the_simulated_ones_and_a_click_shows_the_trace(with_movie
     inside = np.all((bright_movie.positions_px > 3) & (bright_movie.positions_px < (44, 60)), axis=1)
     assert np.median(distance.min(axis=0)[inside]) < 0.5
     # In select mode a click changes the selection.
+    assert points.visible and points.mode == "select"  # a click selects
     points.selected_data = {2}
     assert panel.shown == 2
     assert np.allclose(panel.plot.data["photoelectrons"], panel.traces.all_traces[2])

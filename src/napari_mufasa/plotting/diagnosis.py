@@ -46,8 +46,17 @@ def staircase(ax: Axes, report: Report) -> None:
     ax.set_xlim(-0.5, len(steps) - 0.5)
     ax.set_ylim(0, max([*steps, floor or 0.0, *(float(c.error_after or 0) for c in wrong)]) * 1.22)
     ax.set_ylabel("error on held-out data")
-    parts.title(ax, "The error falls to its floor" if report.chosen else "Error and its floor")
+    parts.title(ax, _course(steps, floor))
     parts.legend(ax)
+
+
+def _course(errors: Sequence[float], floor: float | None) -> str:
+    """What the error did, in words."""
+    if len(errors) < 2:
+        return "Error and its floor"
+    if errors[-1] >= errors[0]:
+        return "The error does not fall"
+    return "The error falls to its floor" if floor is not None and errors[-1] < 1.25 * floor else "The error falls"
 
 
 def evidence(ax: Axes, ranking: Sequence[Candidate], threshold: float | None = None, top: int = 8) -> None:

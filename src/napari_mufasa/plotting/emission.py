@@ -75,7 +75,7 @@ def side_by_side(
 def w1_bars(ax: Axes, w1: Mapping[str, Any]) -> None:
     """W1 of each model with the floor that no model can beat."""
     p = palette()
-    shown = [(label, float(w1[key])) for key, label in _MODELS.items() if w1.get(key) is not None][::-1]
+    shown = [(label, float(w1[key])) for key, label in MODELS.items() if w1.get(key) is not None][::-1]
     if not shown:
         return parts.empty(ax, "nothing to compare")
     colours = [p.after if label.startswith("this model") else p.muted for label, _ in shown]
@@ -99,7 +99,7 @@ def distribution(ax: Axes, shown: Distribution, w1: Mapping[str, Any] | None = N
     density = shown.y_label == "density"
     for (name, y), colour in zip(_by_model(shown.curves), parts.cycle(), strict=False):
         distance = w1.get(name) if w1 else None
-        label = _MODELS.get(name, name) + (f", W1 = {distance:.3g}" if isinstance(distance, float) else "")
+        label = MODELS.get(name, name) + (f", W1 = {distance:.3g}" if isinstance(distance, float) else "")
         if not np.isfinite(y).any():
             continue
         if name == "measured" and density:
@@ -112,8 +112,9 @@ def distribution(ax: Axes, shown: Distribution, w1: Mapping[str, Any] | None = N
         parts.empty(ax, f"no {shown.x_label.split(' (')[0]} seen")
         return
     ax.set_xlabel(textwrap.fill(shown.x_label, parts.fit(ax)))
-    ax.set_ylabel(shown.y_label)
-    parts.title(ax, shown.name.replace("_", " ").capitalize())
+    unit = shown.x_label.partition("(")[2].rstrip(")")
+    ax.set_ylabel(f"density (1/{unit})" if density and unit else shown.y_label)
+    parts.title(ax, TITLES.get(shown.name) or shown.name.replace("_", " ").capitalize())
     if legend:
         parts.legend(ax)
 
@@ -126,13 +127,15 @@ def distributions(parent: Figure | SubFigure, shown: Sequence[Distribution], col
     parts.common_legend(parent, axes)
 
 
-_MODELS = {
+TITLES = {"counts": "Signal per frame", "survival": "Not yet bleached", "levels": "On levels"}
+#: Names of the models of a comparison, in figures and tables.
+MODELS = {
     "measured": "measured", "mufasa": "this model", "fitted": "this model, fitted", "poisson": "Poisson",
     "sofi": "two-state (SOFI)",
 }  # fmt: skip
 
 
 def _by_model(curves: Mapping[str, NDArray[Any]]) -> list[tuple[str, NDArray[Any]]]:
-    """In the order of `_MODELS`, so that a model has the same colour in every figure."""
-    order = [*_MODELS, *curves]
+    """In the order of `MODELS`, so that a model has the same colour in every figure."""
+    order = [*MODELS, *curves]
     return sorted(curves.items(), key=lambda item: order.index(item[0]))

@@ -17,13 +17,6 @@ from napari_mufasa.widgets.preferences import preference
 if TYPE_CHECKING:
     from napari_mufasa.compare import Comparison
 
-NAMES = {
-    "measured": "measured",
-    "mufasa": "this model",
-    "fitted": "model, fitted",
-    "poisson": "Poisson",
-    "sofi": "SOFI",
-}
 CURVES = {
     "counts": "Signal per frame",
     "autocorrelation": "Autocorrelation",
@@ -110,6 +103,8 @@ class ComparePanel(Panel):
     def _show(self, comparison: Comparison) -> None:
         import pandas as pd
 
+        from napari_mufasa.plotting.emission import MODELS
+
         self.comparison = comparison
         w1, interval = comparison.w1, comparison.w1_interval
         rows = []
@@ -117,7 +112,7 @@ class ComparePanel(Panel):
             if w1.get(name) is not None:
                 low, high = interval[name]
                 words = f"{number_text(round(w1[name], 2))} ({low:.2f} … {high:.2f})"
-                rows.append(f"<tr><td>{NAMES[name]}&nbsp;&nbsp;</td><td><b>{words}</b></td></tr>")
+                rows.append(f"<tr><td>{MODELS[name]}&nbsp;&nbsp;</td><td><b>{words}</b></td></tr>")
         floor = comparison.floor
         rows.append(f"<tr><td>floor</td><td>{floor.value:.2f} ({floor.low:.2f} … {floor.high:.2f})</td></tr>")
         molecules = len(comparison.samples["measured"].traces)
@@ -131,7 +126,7 @@ class ComparePanel(Panel):
         self.distances.draw(lambda figure: _draw_distances(figure, w1), pd.DataFrame([w1]))
         self._show_curves()
         best = "fitted" if comparison.fit is not None else "mufasa"
-        samples, name = comparison.samples, NAMES[best]
+        samples, name = comparison.samples, MODELS[best]
         self._show_traces(samples["measured"].traces, samples[best].traces, name)
         self.session.set_result("comparison", comparison)
 

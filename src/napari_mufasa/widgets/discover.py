@@ -234,6 +234,7 @@ class DiscoverPanel(Panel):
         elif self.what.simulate_box.isChecked():
             name = f"{self._name}, simulated with {' and '.join(in_text(k) for k in self.report.chosen)}"
             self.layers.show_simulated(self.places, movie, name, self._first_frame)
+            self.run_bar.say("Left the measured movie, right the completed model's.")
 
     # files ------------------------------------------------------------------------------------------
     def _ask_and_export(self) -> None:

@@ -56,7 +56,7 @@ def unit_of(name: str, owner: type[BaseModel] | None = None) -> str:
     """The unit in a parameter's name (`psf_fwhm_nm` → nm), or the one an effect declares."""
     declared = getattr(owner, "unit", None)
     if callable(declared) and declared(name):
-        return str(declared(name))
+        return "°" if declared(name) == "deg" else str(declared(name))
     if name in NAMED_UNITS:
         return NAMED_UNITS[name]
     return next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")

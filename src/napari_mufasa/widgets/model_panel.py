@@ -215,6 +215,8 @@ def section(title: str, content: QWidget, is_open: bool) -> QCollapsible:
     """A part of a panel that folds away."""
     folding = QCollapsible(title)
     folding.setDuration(0)  # animations make the layout jump
+    folding.setCollapsedIcon("▸")
+    folding.setExpandedIcon("▾")
     folding.addWidget(content)
     layout: Any = folding.layout()
     layout.setContentsMargins(0, 0, 0, 0)

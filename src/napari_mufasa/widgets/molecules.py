@@ -125,19 +125,18 @@ class MoleculesPanel(Panel):
         table = traces.molecules
         kept = int(table["kept"].sum())
         self.run_bar.say(f"{kept} molecules kept of {len(table)} candidates.")
-        self.points = add_points(
+        points = self.points = add_points(
             self.viewer, traces.positions_px, _features(table), f"{name}, molecules", layer,
             size=max(4.0, 5 * traces.sigma_px), face_color="transparent", border_width=0.07,
             border_color=_colours(table), symbol="disc", visible=False,
         )  # fmt: skip
-        self._sets[self.points] = traces
-        yield
-        self.points.mode = "select"
-        self.points.selected_data.events.items_changed.connect(self._on_selection)
-        self.points.mouse_drag_callbacks.append(self._on_click)
+        self._sets[points] = traces
+        points.selected_data.events.items_changed.connect(self._on_selection)
+        points.mouse_drag_callbacks.append(self._on_click)
         self.save_button.setEnabled(True)
         self.plot.clear()
-        yield from shown_later(self.points)
+        yield from shown_later(points)
+        points.mode = "select"  # napari refuses it to a hidden layer
         self.session.set_result("traces", traces)
 
     def select(self, molecule: int) -> None:

@@ -96,7 +96,7 @@ def _distribution(measured: NDArray[np.float32], simulated: NDArray[np.float32])
         name: np.histogram(values, edges, density=True)[0].astype(np.float64)
         for name, values in (("measured", measured), ("mufasa", simulated))
     }
-    return Distribution("counts", (edges[:-1] + edges[1:]) / 2, "photoelectrons per frame", "density", curves)
+    return Distribution("counts", (edges[:-1] + edges[1:]) / 2, "signal per frame (photoelectrons)", "density", curves)
 
 
 def simulate_traces(

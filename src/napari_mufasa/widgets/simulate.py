@@ -76,6 +76,7 @@ class SimulatePanel(Panel):
             yield
         movie = add_movie(self.viewer, result.movie, name, space, model, result.seed)
         self.session.set_movie(movie)
+        self.viewer.dims.set_point(0, 0)
         yield
         if self.positions.isChecked():
             import pandas as pd

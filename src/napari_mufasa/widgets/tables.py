@@ -18,6 +18,7 @@ def table(headers: list[str]) -> QTableWidget:
     made.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
     made.setTextElideMode(Qt.TextElideMode.ElideRight)
     made.setMinimumHeight(120)
+    made.verticalHeader().setDefaultSectionSize(24)
     header = made.horizontalHeader()
     header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
     header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)

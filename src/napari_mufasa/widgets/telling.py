@@ -36,7 +36,13 @@ def headline(report: Report) -> tuple[str, str]:
     from napari_mufasa.wording import verdict_text
 
     best = report.ranking[0] if report.ranking else None
-    before, floor = report.error.get("before"), report.error.get("floor")
+    before, after, floor = (report.error.get(name) for name in ("before", "after", "floor"))
+    if report.chosen and report.verdict != "adequate" and before is not None and after is not None and after >= before:
+        return (
+            f"{title_of(report.chosen[-1])} does not lower the error: Undo takes it out.",
+            f"The error on held-out data was {before:.2f}, it is {after:.2f}"
+            + (f"; noise alone gives {floor:.2f}." if floor is not None else "."),
+        )
     if report.verdict == "adequate" or report.chosen or best is None or best.error_after is None or before is None:
         return verdict_text(report)
     gives = f"; noise alone gives {floor:.2f}" if floor is not None else ""
