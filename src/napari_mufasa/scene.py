@@ -43,6 +43,7 @@ class Scene:
     light_field: list[FieldMap] = field(default_factory=list)  # excitation across the field: spots and background
     background_field: list[FieldMap] = field(default_factory=list)  # background only
     walk_px: NDArray[np.float32] | None = None  # (frame, molecule, 2) motion of each molecule
+    oblique: tuple[float, float] | None = None  # ln of the PSF's axes' ratio, and the direction of the long one (rad)
     sensor: camera.SensorHooks = field(default_factory=camera.SensorHooks)
 
     @property
@@ -92,6 +93,9 @@ class Scene:
         positions = self.positions_px[None] + self.shift_px[at, None]
         if self.walk_px is not None:
             positions = positions + self.walk_px[at]
+        if self.oblique is not None:
+            photons, positions = optics.elongated(photons, positions, self.sigma_px[frames], *self.oblique)
+            moves = len(positions) > 1
         if optical.high_resolution_factor is None:
             image = optics.spot_images(photons, positions, self.sigma_px[frames], self.shape_px)
         else:

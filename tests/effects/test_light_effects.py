@@ -147,6 +147,21 @@ def test_astigmatism_in_second_moments(log_ratio):
     assert np.sqrt(sy * sx) == pytest.approx(model.sigma_px, rel=2e-3)
 
 
+@pytest.mark.parametrize(("log_ratio", "axis_deg"), [(0.2, 30.0), (0.5, 120.0), (-0.5, 30.0), (1.5, 45.0)])
+def test_astigmatism_along_any_axis(log_ratio, axis_deg):
+    """The second moments are those of the turned ellipse: eigenvalues σ² e^±r, the axis where it was put."""
+    model = plain(n_frames=1, shape=(81, 81), **{"optics.background_photons_per_px": 0})
+    model = model.with_effects(effect("astigmatism", log_ratio=log_ratio, axis_deg=axis_deg))
+    image = simulate(model, np.array([[40.3, 39.6]]), seed=5).optical[0].astype(float)
+    y, x = np.indices(image.shape) - np.array([40.3, 39.6])[:, None, None]
+    vy, vx, vxy = (float((image * a * b).sum() / image.sum()) for a, b in ((y, y), (x, x), (x, y)))
+    measured = np.array([[vx, vxy], [vxy, vy]]) - np.eye(2) / 12
+    axis = np.array([np.cos(np.deg2rad(axis_deg)), np.sin(np.deg2rad(axis_deg))])
+    along, across = np.outer(axis, axis), np.eye(2) - np.outer(axis, axis)
+    expected = model.sigma_px**2 * (np.exp(log_ratio) * along + np.exp(-log_ratio) * across)
+    np.testing.assert_allclose(measured, expected, atol=0.01 * model.sigma_px**2)
+
+
 @pytest.mark.parametrize("form", ["linear", "hump"])
 def test_gradient_keeps_the_mean_and_the_spots(form):
     added = effect("background_gradient", relative_height=0.8, form=form)
@@ -171,6 +186,11 @@ def test_hump_rises_by_its_height_above_the_dark_corner():
     )
     background = scene.background_map()
     assert background.max() / background.min() == pytest.approx(2.5, rel=0.1)
+
+
+def test_background_that_decays_linearly_loses_its_share_by_the_end():
+    scene = scene_of(ccd(**{"acquisition.n_frames": 11}).with_effects(effect("background_decay", form="linear")))
+    np.testing.assert_allclose(scene.background, np.linspace(1, 0.7, 11))
 
 
 def test_background_decays_with_its_variance_while_spots_stay():

@@ -52,6 +52,12 @@ def test_focus_drift_widens_spots_and_keeps_their_light(form):
     np.testing.assert_allclose(result.optical.sum(axis=(1, 2)), result.emission[0], rtol=1e-4)
 
 
+def test_focus_that_wanders_widens_by_its_strength_at_most():
+    added = effect("focus_drift", widening=0.8, form="wandering")
+    widths = scene_of(plain(n_frames=300).with_effects(added)).sigma_px[:, 0]
+    assert widths.min() == widths[0] and widths.max() == pytest.approx(1.8 * widths[0])
+
+
 def walk(form, diffusion, n_frames=200, n=400, seed=1):
     model = plain(n_frames=n_frames).with_effects(
         effect("molecule_diffusion", diffusion_px2_per_frame=diffusion, form=form)

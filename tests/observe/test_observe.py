@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
+from napari_mufasa.effects.optics import Astigmatism
 from napari_mufasa.observe import PARTS, checkerboard, observe
 from napari_mufasa.observe.summary import OnStates, _gap_lengths, _slope
 from napari_mufasa.observe.table import Table
@@ -72,3 +73,12 @@ def test_expansion_is_not_ruled_by_one_spot_that_jumped():
     moved[7] += 40
     assert _slope(place, moved) == pytest.approx(0.02, abs=0.001)
     assert _slope(np.zeros(0), np.zeros(0)) == 0.0
+
+
+@pytest.mark.parametrize("axis_deg", [20.0, 135.0])
+def test_the_axis_of_astigmatism_is_read_off(axis_deg):
+    values = {"acquisition.shape_px": (96, 96), "sample.n_molecules": 30, "sample.min_distance_px": 8}
+    model = small(**values)
+    turned = Astigmatism(log_ratio=0.4, axis_deg=axis_deg)
+    seen = Astigmatism.read_off(observe(nm.simulate(model.with_effects(turned), seed=3).movie, model))["axis_deg"]
+    assert abs((seen - axis_deg + 90) % 180 - 90) < 10

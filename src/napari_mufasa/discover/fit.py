@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, Ray, State, changed, scaled
+from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, Ray, State, changed, scaled, trusted
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.effects import Effect
 from napari_mufasa.model import Model
@@ -260,7 +260,10 @@ def _regress(offsets: Array, shift: Array) -> tuple[Array, Array]:
     """Linear fit of shift (k, part, observable) on offsets (k, d): value at the centre, slopes (…, d)."""
     k, d = offsets.shape
     design = np.concatenate([np.ones((k, 1)), offsets], axis=1)
-    gram = design.T @ design + np.diag([0.0, *np.full(d, 1e-3)])
-    solution = np.linalg.solve(gram, np.einsum("kd,kpo->dpo", design, shift).reshape(d + 1, -1))
-    solution = solution.reshape(d + 1, *shift.shape[1:])
-    return solution[0], np.moveaxis(solution[1:], 0, -1)
+    inverse = np.linalg.inv(design.T @ design + np.diag([0.0, *np.full(d, 1e-3)]))
+    solution = np.einsum("de,ke,kpo->dpo", inverse, design, shift)
+    rest = shift - np.einsum("kd,dpo->kpo", design, solution)
+    error = (rest**2).sum(axis=0) / max(k - d - 1, 1) * np.diag(inverse)[1:, None, None]
+    # What is no larger than its own error is noise, which would pass for information about the parameter.
+    slopes = solution[1:] * trusted(solution[1:], error)
+    return solution[0], np.moveaxis(slopes, 0, -1)

@@ -223,8 +223,9 @@ class Investigation:
         worth = PROMISING * leads[0].gain
         others = [e.start() for e in leads if e.gain > worth and e.ray.effect.form_name != found.effect.form_name]
         self.bench.plan(len(others) * fit.planned_simulations())
-        tries = [fit.refine(self.library, self.state, other, self.x) for other in others]
-        return min([found, *tries], key=lambda f: f.score)
+        had = self.state.score(self.x) - found.score
+        tries = [fit.refine_if_promising(self.library, self.state, other, self.x, had) for other in others]
+        return min([found, *filter(None, tries)], key=lambda f: f.score)
 
     def simplify(self) -> None:
         """Take the first of two effects out again where the second one alone explains as much: a greedy first

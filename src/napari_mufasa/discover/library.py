@@ -36,7 +36,7 @@ CHECK_SEED = 5_000
 MATCHING_SEED = 10_000
 MATCHING_ROUNDS = 4
 SLOPE_SEEDS = 3
-RAYS = 5  # settings of each effect, plus one for each shape parameter
+RAYS = 4  # settings of each effect, plus one for each shape parameter
 SCALES = (0.12, 0.25, 0.45, 0.7, 1.0, 1.4)
 
 
@@ -217,10 +217,14 @@ def _slopes(bench: Bench, model: Model, values: list[nuisance.Nuisance], base: A
         steps.append(step)
     rows = bench.rows(jobs).reshape(len(values), SLOPE_SEEDS, *base.shape[1:])
     change = rows - base[:SLOPE_SEEDS]
-    mean, error = change.mean(axis=1), change.std(axis=1, ddof=1) / np.sqrt(SLOPE_SEEDS)
-    # A derivative no larger than its own error is noise: it is drawn towards zero.
-    certain = np.clip(1 - 2 * error**2 / np.maximum(mean**2, 1e-300), 0.0, 1.0)
-    return np.moveaxis(mean * certain / np.array(steps)[:, None, None], 0, -1)
+    mean, variance = change.mean(axis=1), change.var(axis=1, ddof=1) / SLOPE_SEEDS
+    return np.moveaxis(mean * trusted(mean, variance) / np.array(steps)[:, None, None], 0, -1)
+
+
+def trusted(derivative: Array, variance: Array) -> Array:
+    """The share of a derivative that stands out from its own error: the rest is noise, drawn towards zero."""
+    share: Array = np.clip(1 - 2 * variance / np.maximum(derivative**2, 1e-300), 0.0, 1.0)
+    return share
 
 
 def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -> list[Effect]:

@@ -74,10 +74,11 @@ class FocusDrift(Effect):
         log=True,
         description="relative growth of the PSF width",
     )
-    form: Literal["linear", "accelerating", "step"] = "linear"
+    form: Literal["linear", "accelerating", "step", "wandering"] = "linear"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        growth = 1 + self.widening * course(self.form, scene.progress, rng)
+        # Out of focus is wider on either side of it.
+        growth = 1 + self.widening * np.abs(course(self.form, scene.progress, rng))
         scene.sigma_px = scene.sigma_px * growth[:, None]
 
 

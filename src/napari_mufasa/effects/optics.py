@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from napari_mufasa.effects.base import Effect, parameter
 from napari_mufasa.scene import Array, Scene
+
+if TYPE_CHECKING:
+    from napari_mufasa.observe import Observation
 
 STAGE = "optics and background"
 
@@ -25,11 +28,28 @@ class Astigmatism(Effect):
     separated_by = "the shape of early spots; a z-series"
 
     log_ratio: float = parameter(
-        0.25, ge=-2, le=2, plausible=(-0.5, 0.5), unit="", description="ln(σ_y / σ_x); the product stays"
-    )
+        0.25, ge=-2, le=2, plausible=(0.03, 0.5), unit="", log=True,
+        description="ln(σ along the axis / σ across it); the product stays",
+    )  # fmt: skip
+    axis_deg: float = parameter(90.0, plausible=(0, 180), unit="deg", description="the axis; 0 along x, 90 along y")
+
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, float]:
+        """The axis is that of the spots' mean second moments."""
+        from napari_mufasa.observe.summary import mean_shape
+
+        spots = observation.spots
+        along_y, along_x, oblique = mean_shape(spots, spots.inside & spots.isolated, range(spots.shape.shape[1]))
+        return {"axis_deg": float(np.rad2deg(0.5 * np.arctan2(2 * oblique, along_x - along_y)) % 180)}
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        scene.sigma_px = scene.sigma_px * np.exp(np.array([0.5, -0.5]) * self.log_ratio)
+        towards_x = np.cos(2 * np.deg2rad(self.axis_deg))  # 1: the axis is x; −1: it is y
+        if abs(towards_x) > 1 - 1e-9:
+            scene.sigma_px = scene.sigma_px * np.exp(np.array([-0.5, 0.5]) * towards_x * self.log_ratio)
+        else:
+            turned = self.axis_deg if self.log_ratio >= 0 else self.axis_deg + 90
+            scene.sigma_px = scene.sigma_px * np.exp(-abs(self.log_ratio) / 2)
+            scene.oblique = (abs(self.log_ratio), float(np.deg2rad(turned)))
 
 
 class BackgroundGradient(Effect):
@@ -88,11 +108,12 @@ class BackgroundDecay(Effect):
         description="share of the background that decays",
     )
     time_constant_movies: float = parameter(
-        0.4, gt=0, plausible=(0.1, 1.5), unit="movies", log=True, description="decay time / movie length"
+        0.4, gt=0, plausible=(0.1, 1.5), unit="movies", log=True, description="decay time / movie length (exponential)"
     )
+    form: Literal["exponential", "linear"] = "exponential"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        left = np.exp(-scene.progress / self.time_constant_movies)
+        left = 1 - scene.progress if self.form == "linear" else np.exp(-scene.progress / self.time_constant_movies)
         scene.background = scene.background * (1 - self.fraction + self.fraction * left)
 
 

@@ -27,8 +27,8 @@ class Spots:
     positions_px (molecule, 2) at the first block · path_px (block, 2) common motion, zero at the first block
     light (molecule, frame) photoelectrons · isolated, inside (molecule,) no near neighbour; aperture in the field
     displacement_px (molecule, block, 2) own motion relative to the path; nan where the spot is dark
-    amplitude (molecule, block) photoelectrons · shape (molecule, 2 halves, 3) light times change of
-    width² along y, along x, and shear, px², halves of the movie · halo (molecule,) light at 3–5 σ / light
+    amplitude (molecule, block) photoelectrons · shape (molecule, block, 3) light times change of width² along y,
+    along x, and shear, px² · shape_weight (molecule, block) that light, 0 where the spot is dark
     """
 
     positions_px: Array
@@ -109,8 +109,6 @@ def follow(
     bright = amplitude > 0.4 * np.quantile(amplitude, 0.9, axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         moved = np.where(bright[..., None], terms[:, :, 1:3] / amplitude[..., None], np.nan)
-    halves = np.array_split(np.arange(len(blocks)), 2)
-    lit = np.where(bright[..., None], terms[:, :, 3:], 0.0)
     return Spots(
         positions_px=positions,
         significance=significance,
@@ -120,8 +118,8 @@ def follow(
         inside=inside,
         displacement_px=np.clip(moved, -3, 3),
         amplitude=amplitude,
-        shape=np.stack([lit[:, h].sum(axis=1) for h in halves], axis=1).reshape(n, 2, 3),
-        shape_weight=np.stack([(amplitude * bright)[:, h].sum(axis=1) for h in halves], axis=1).reshape(n, 2),
+        shape=np.where(bright[..., None], terms[:, :, 3:], 0.0),
+        shape_weight=amplitude * bright,
         frame_shift=values[:, :, 1:3].transpose(1, 0, 2),
     )
 
@@ -130,7 +128,7 @@ def _nothing(path: Array, n_frames: int, n_blocks: int) -> Spots:
     none = np.zeros(0, dtype=bool)
     return Spots(
         np.zeros((0, 2)), np.zeros(0), path, np.zeros((0, n_frames)), none, none, np.zeros((0, n_blocks, 2)),
-        np.zeros((0, n_blocks)), np.zeros((0, 2, 3)), np.zeros((0, 2)), np.zeros((n_frames, 0, 2)),
+        np.zeros((0, n_blocks)), np.zeros((0, n_blocks, 3)), np.zeros((0, n_blocks)), np.zeros((n_frames, 0, 2)),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ field can be kept out of a fit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,14 @@ def _drawn_mean(values: Array, towards: float, weight: int = 8) -> float:
     return float((values.sum() + weight * towards) / (len(values) + weight))
 
 
+def _trimmed_mean(values: Array, cut: float = 0.1) -> float:
+    """Mean without the lowest and the highest tenth. A median jumps between the levels of one and of two emitters."""
+    if not values.size:
+        return 0.0
+    drop = int(cut * values.size)
+    return float(np.sort(values)[drop : values.size - drop].mean())
+
+
 def _quantile(values: Array, q: float, default: float = 0.0) -> float:
     """Nearest-rank quantile: a partition is much cheaper than `np.quantile`, and this runs hundreds of times."""
     if not values.size:
@@ -86,11 +95,11 @@ def _quantile(values: Array, q: float, default: float = 0.0) -> float:
 def _levels(table: Table, states: OnStates, positions: Array, shape_px: tuple[int, int]) -> None:
     logs = np.log(states.level)
     where = "level of each spot while on"
-    middle = _quantile(logs, 0.5)
-    table.add("level", middle, "brightness of a spot (median)", "ln e⁻", where)
+    middle = _trimmed_mean(logs)
+    table.add("level", middle, "brightness of a spot (mean of the middle four fifths)", "ln e⁻", where)
     table.add("level_spread", _quantile(logs, 0.84) - _quantile(logs, 0.16), "spread of brightness", "ln", where)
-    table.add("level_quantile_low", middle - _quantile(logs, 0.1), "dim spots against the median", "ln", where)
-    table.add("level_quantile_high", _quantile(logs, 0.95) - middle, "bright spots against the median", "ln", where)
+    table.add("level_quantile_low", middle - _quantile(logs, 0.1), "dim spots against the middle", "ln", where)
+    table.add("level_quantile_high", _quantile(logs, 0.95) - middle, "bright spots against the middle", "ln", where)
     half = max(shape_px) / 2
     v = (positions[:, 0] - (shape_px[0] - 1) / 2) / half
     u = (positions[:, 1] - (shape_px[1] - 1) / 2) / half
@@ -250,16 +259,21 @@ def _gap_lengths(on: NDArray[np.bool_]) -> list[int]:
 
 
 def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> None:
-    weight = np.maximum(spots.shape_weight[keep].sum(axis=0), 1e-6)
-    early, late = spots.shape[keep].sum(axis=0) / weight[:, None]
+    blocks = range(spots.shape.shape[1])
+    early, late = (mean_shape(spots, keep, part) for part in np.array_split(blocks, 2))
     where = "isolated spots"
     table.add("spot_width_early", (early[0] + early[1]) / 2, "excess of PSF variance, first half", "px²", where)
     table.add(
         "spot_width_growth", (late[0] + late[1] - early[0] - early[1]) / 2, "growth of PSF variance", "px²", where
     )
+    widths = [mean_shape(spots, keep, part)[:2].mean() for part in np.array_split(blocks, BINS)]
+    for b in range(1, BINS - 1):
+        bend = widths[b] - (widths[0] + widths[-1]) / 2
+        title = f"PSF variance, part {b + 1} of {BINS} against first and last"
+        table.add(f"spot_width_bend_{b + 1}", bend, title, "px²", where)
     table.add("spot_elongation_early", early[0] - early[1], "PSF variance along y minus x, first half", "px²", where)
     table.add("spot_elongation_late", late[0] - late[1], "PSF variance along y minus x, second half", "px²", where)
-    table.add("spot_elongation_shear", np.hypot(early[2], late[2]), "oblique elongation", "px²", where)
+    table.add("spot_elongation_oblique", (early[2] + late[2]) / 2, "oblique elongation", "px²", where)
     path = spots.path_px
     # In pixels, not in powers: the noise of a path is the same whether the stage stands or drifts.
     table.add("common_shift_end", np.hypot(*path[-1]), "common displacement at the end", "px", "all spots")
@@ -301,6 +315,13 @@ def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> No
         "%",
         "each spot",
     )
+
+
+def mean_shape(spots: Spots, keep: NDArray[np.bool_], blocks: Sequence[int] | NDArray[np.int64]) -> Array:
+    """Mean excess of PSF variance along y, along x, and covariance (3,), px², of these molecules in these blocks."""
+    weight = max(float(spots.shape_weight[keep][:, blocks].sum()), 1e-6)
+    mean: Array = spots.shape[keep][:, blocks].sum(axis=(0, 1)) / weight
+    return mean
 
 
 def _slope(x: Array, y: Array) -> float:
