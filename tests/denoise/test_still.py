@@ -11,7 +11,8 @@ NOISE = let.Noise(1.0, np.float32(0.25))
 
 
 def seen(data, noise=NOISE, most=24):
-    return {t: (plane, relative) for t, plane, relative in still.past_and_future(data, 0, len(data), noise, most)}
+    sides = still.past_and_future(data, 0, len(data), noise, most)
+    return {t: still.shown(data[t], past, future, noise, 1.0) for t, past, future in sides}
 
 
 def recorded(truth, rng):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -55,9 +56,10 @@ def denoise(
     dark : array (frame, y, x), optional
         Dark frames, for the measurement of a camera that is not given.
     method : str
-        "pure-let-movie": mixed-noise PURE-LET with neighbouring frames as predictors; "pure-let": the same, frame by
-        frame; "pure-let-patches": each frame by itself, like patches filtered together: the best for single frames,
-        ten times slower; "source": the recipe of the source note, step by step; "none": only the camera's inverse.
+        "pure-let-movie": mixed-noise PURE-LET with neighbouring frames as predictors, a single frame as the next but
+        one; "pure-let": the same, frame by frame; "pure-let-patches": each frame by itself, like patches filtered
+        together: the best for single frames, and much slower; "source": the recipe of the source note, step by step;
+        "none": only the camera's inverse.
     excess_noise : bool
         An EMCCD's multiplication doubles the variance; False treats its signal as plain Poisson, as the source does.
     progress : callable (done, total), optional
@@ -126,15 +128,18 @@ class _Frames:
     """A movie read in blocks, its noise in photoelectrons, and the weights learnt from samples of it."""
 
     def __init__(self, movie: Any, camera: Camera, shape: tuple[int, ...], method: Method, excess_noise: bool) -> None:
-        self.movie, self.camera, self.shape, self.method = movie, camera, shape, method
+        self.movie, self.camera, self.shape = movie, camera, shape
+        # A single frame has no past or future: what is best for single frames is best for it.
+        self.method = "pure-let-patches" if method == "pure-let-movie" and shape[0] == 1 else method
         self.multiplied = camera.type == "EMCCD" and excess_noise
         self.alpha = cam.multiplication_noise(camera) if self.multiplied else 1.0
-        self.weights: Array | None = None
+        from .temporal import NEIGHBOURS, Learnt
+
+        self.learnt = Learnt(None, 1.0, 0.0, 0.0)
         self.way = 0.0
         self.gain_db = 0.0
-        from .temporal import NEIGHBOURS
 
-        self.neighbours = NEIGHBOURS if method == "pure-let-movie" and shape[0] > 1 else 0
+        self.neighbours = NEIGHBOURS if self.method == "pure-let-movie" else 0
 
     def read(self, start: int, stop: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
         """Recorded frames, or a tile of them, as photoelectrons."""
@@ -158,30 +163,30 @@ class _Frames:
         """Weights of least pooled risk over frames spread evenly through the movie."""
         if self.method in ("source", "none"):
             return
-        from .let import learn
+        from . import temporal
         from .purelet import LEVELS, depth_for
-        from .temporal import sample_frames, sample_system, sample_windows
 
-        chosen = sample_frames(self.shape[0], SAMPLES)
+        chosen = temporal.sample_frames(self.shape[0], SAMPLES)
 
-        def systems(number: int, t: int) -> list[Any]:
+        def seen(number: int, t: int) -> list[Any]:
             _stop_if(cancel)
             first, last = self.reach(t, t + 1)
-            depth, found = depth_for(self.shape[1:], LEVELS, False), []
-            for tile in sample_windows(self.shape[1:], number, len(chosen)):
+            found = []
+            for tile in temporal.sample_windows(self.shape[1:], number, len(chosen)):
                 data = self.read(first, last, tile)
-                found += sample_system(data, t - first, self.noise(data[t - first], tile), self.neighbours, depth)
+                noise = self.noise(data[t - first], tile)
+                found += [one for _, one in temporal.sights(data, t - first, t - first + 1, noise, self.neighbours)]
             return found
 
         with ThreadPoolExecutor(max_workers=WORKERS) as pool:
-            parts = [part for found in pool.map(systems, range(len(chosen)), chosen) for part in found]
-        if parts:
-            weights, risk, untouched = learn(parts)
-            if risk < untouched:
-                self.weights = weights
-                self.gain_db = float(10 * np.log10(untouched / max(risk, 1e-3 * untouched)))
-        if self.method == "pure-let-patches" and self.weights is not None:
-            self.way = float(np.mean([self._way(t, cancel) for t in sample_frames(self.shape[0], PATCH_SAMPLES)]))
+            sights = [one for found in pool.map(seen, range(len(chosen)), chosen) for one in found]
+            self.learnt = temporal.learn(sights, depth_for(self.shape[1:], LEVELS, False), pool.map)
+        if self.learnt.weights is not None:
+            gain = self.learnt.untouched / max(self.learnt.risk, 1e-3 * self.learnt.untouched)
+            self.gain_db = float(10 * np.log10(gain))
+        if self.method == "pure-let-patches" and self.learnt.weights is not None:
+            some = temporal.sample_frames(self.shape[0], PATCH_SAMPLES)
+            self.way = float(np.mean([self._way(t, cancel) for t in some]))
 
     def _way(self, t: int, cancel: Callable[[], bool] | None) -> float:
         """How far the second pass should go, judged on the middle of frame ``t``."""
@@ -194,7 +199,7 @@ class _Frames:
         part = np.ascontiguousarray(frame[central(frame.shape)])
         if not patches.big_enough(part.shape):
             return 0.0
-        return patches.judge(part, noise, lambda y: applied(y, noise, LEVELS, False, self.weights))[0]
+        return patches.judge(part, noise, lambda y: applied(y, noise, LEVELS, False, self.learnt.weights))[0]
 
     def reach(self, start: int, stop: int) -> tuple[int, int]:
         """The block with the neighbours that its frames look at."""
@@ -208,23 +213,24 @@ class _Frames:
             return source_recipe(np.asarray(self.movie[start:stop]), self.camera)
         from . import patches
         from .purelet import LEVELS
-        from .temporal import apply_frame, guided
+        from .temporal import apply_frame, sights
 
         first, last = self.reach(start, stop)
         data = self.read(first, last)
         out = np.empty((stop - start, *self.shape[1:]), np.float32)
 
-        def one(t: int, guides: Any) -> None:
-            noise = self.noise(data[t])
-            result = apply_frame(data[t], noise, LEVELS, self.weights, guides)
-            out[t + first - start] = patches.towards(data[t], result, noise, self.way) if self.way > 0 else result
+        def one(t: int, sight: Any) -> None:
+            sight = replace(sight, noise=self.noise(data[t]))
+            result = apply_frame(sight, LEVELS, self.learnt)
+            patched = patches.towards(data[t], result, sight.noise, self.way) if self.way > 0 else result
+            out[t + first - start] = patched
 
         typical = self.noise(data[(start + stop) // 2 - first])
         # The kernels release the interpreter: threads share the block's frames.
         with ThreadPoolExecutor(max_workers=min(WORKERS, stop - start)) as pool:
             work = [
-                pool.submit(one, t, guides)
-                for t, guides in guided(data, start - first, stop - first, typical, self.neighbours)
+                pool.submit(one, t, sight)
+                for t, sight in sights(data, start - first, stop - first, typical, self.neighbours)
             ]
             for done in work:
                 done.result()

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from .let import Noise
 
     Array = NDArray[Any]
+    #: Mean, number of frames and smoothed mean, each (y, x).
+    Side = tuple[Array, Array, Array]
 
 #: Frames whose mean is compared with the longer one.
 RECENT = 3
@@ -143,19 +145,29 @@ def _step(
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _joined(
     past: Array, n_past: Array, s_past: Array, future: Array, n_future: Array, s_future: Array, s_now: Array,
-    variance: Array, alpha: float,
+    variance: Array, alpha: float, trust: float,
 ) -> tuple[Array, float]:  # fmt: skip
     """Mean of past and future by their frames where they agree, and its mean noise variance.
 
     Where they differ, a change lies just before or just after the frame: the one that the frame, smoothed, looks like
-    counts, by the odds of the two.
+    counts, by the odds of the two. With ``trust`` 0 rather than 1 the frame is not asked, and both count the same.
     """
     rows, cols = past.shape
     out = np.empty_like(past)
     total = 0.0
     for r in range(rows):
         total += _joined_row(
-            out[r], past[r], n_past[r], s_past[r], future[r], n_future[r], s_future[r], s_now[r], variance[r], alpha
+            out[r],
+            past[r],
+            n_past[r],
+            s_past[r],
+            future[r],
+            n_future[r],
+            s_future[r],
+            s_now[r],
+            variance[r],
+            alpha,
+            trust,
         )
     return out, total / (rows * cols)
 
@@ -163,20 +175,20 @@ def _joined(
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _joined_row(
     out: Array, past: Array, n_past: Array, s_past: Array, future: Array, n_future: Array, s_future: Array,
-    s_now: Array, variance: Array, alpha: float,
+    s_now: Array, variance: Array, alpha: float, trust: float,
 ) -> Any:  # fmt: skip
     floor = np.float32(FLOOR * alpha)
     top, inverse_span = np.float32(UNLIKE**2), np.float32(1.0 / (UNLIKE**2 - ALIKE**2))
     alpha32, share, half, tiny = np.float32(alpha), np.float32(SHARE), np.float32(0.5), np.float32(1e-12)
     zero, one, most, step = np.float32(0.0), np.float32(1.0), np.float32(20.0), np.float32(1.0 / 256.0)
-    inverse_sum = zero
+    inverse_sum, asked = zero, np.float32(trust)
     for c in range(len(out)):
         n, m, p, f, s, q = n_past[c], n_future[c], past[c], future[c], s_past[c], s_future[c]
         inverse = one / (n + m)
         by_frames = (n * p + m * f) * inverse
         one_frame = max(share * (alpha32 * max((n * s + m * q) * inverse, floor) + variance[c]), tiny)
         apart = s - q
-        nearer = apart * (s_now[c] - half * (s + q)) / one_frame
+        nearer = asked * apart * (s_now[c] - half * (s + q)) / one_frame
         # exp(-nearer) as a power of 256, which the processor takes of eight columns at once.
         power = one - step * min(max(nearer, -most), most)
         power *= power
@@ -213,23 +225,34 @@ def walk(data: Array, order: Iterable[int], noise: Noise, most: int) -> Iterator
         mean, number = new_mean, new_number
 
 
-def past_and_future(data: Array, first: int, stop: int, noise: Noise, most: int) -> Iterator[tuple[int, Array, float]]:
-    """For the frames first … stop - 1 of ``data``: what their past and future show, and its relative noise variance.
+def past_and_future(
+    data: Array, first: int, stop: int, noise: Noise, most: int
+) -> Iterator[tuple[int, Side | None, Side | None]]:
+    """For the frames first … stop - 1 of ``data``: what their past and their future show, where they have one.
 
     ``most`` frames on either side count at most; ``data`` should reach that far.
     """
-    n = data.shape[0]
-    variance = np.ascontiguousarray(np.broadcast_to(noise.variance, data.shape[1:]), np.float32)
-    end, start = min(n, stop + most), max(0, first - most)
-    future = {t: (a, b, c) for t, a, b, c in walk(data, range(end - 1, first - 1, -1), noise, most) if t < stop}
+    end, start = min(data.shape[0], stop + most), max(0, first - most)
+    future = {t: side for t, *side in walk(data, range(end - 1, first - 1, -1), noise, most) if t < stop}
     if start == first:
-        mean, number, _ = future.pop(first)
-        yield first, mean, float(np.mean(1.0 / number))
-    for t, mean, number, s_mean in walk(data, range(start, stop), noise, most):
-        if t < first:
-            continue
-        if t in future:
-            seen, relative = _joined(mean, number, s_mean, *future.pop(t), smooth(data[t]), variance, noise.alpha)
-        else:
-            seen, relative = mean, float(np.mean(1.0 / number))
-        yield t, seen, relative
+        yield first, None, _side(future.pop(first, None))
+    for t, *past in walk(data, range(start, stop), noise, most):
+        if t >= first:
+            yield t, _side(past), _side(future.pop(t, None))
+
+
+def _side(found: list[Array] | None) -> Side | None:
+    return None if found is None else (found[0], found[1], found[2])
+
+
+def shown(frame: Array, past: Side | None, future: Side | None, noise: Noise, trust: float) -> tuple[Array, float]:
+    """What past and future together show of ``frame``, and its noise variance relative to the frame's.
+
+    ``trust`` 1: where the two differ, the frame says which of them counts; 0: both count the same.
+    """
+    if past is None or future is None:
+        mean, number, _ = past or future or (frame, np.ones_like(frame), frame)
+        return mean, float(np.mean(1.0 / number))
+    variance = np.ascontiguousarray(np.broadcast_to(noise.variance, frame.shape), np.float32)
+    together: tuple[Array, float] = _joined(*past, *future, smooth(frame), variance, noise.alpha, trust)
+    return together

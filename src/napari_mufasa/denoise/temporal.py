@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import let
 from .purelet import LEVELS, checked, depth_for, estimate, same_mean, windows
-from .still import past_and_future
+from .still import past_and_future, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import ArrayLike, NDArray
+
+    from .still import Side
 
     Array = NDArray[Any]
 
@@ -22,24 +25,103 @@ ENOUGH_WINDOWS = 16
 STRIDE = 7
 #: Frames on either side that count at most.
 NEIGHBOURS = 24
+#: Disturbance of a frame that measures what the choice between past and future costs, in noise standard deviations.
+PROBE = 0.3
 Guides = tuple[list["Array"], "NDArray[np.float32]"]
 NO_GUIDES: Guides = ([], np.zeros(0, np.float32))
 
 
-def guided(data: Array, first: int, stop: int, noise: let.Noise, neighbours: int) -> Iterator[tuple[int, Guides]]:
-    """The guides of the frames first … stop - 1, and their variance relative to one frame's.
+@dataclass(frozen=True)
+class Sight:
+    """One frame, or a window of it, and what the frames around it show."""
 
-    One guide is the mean of the adjacent frames, the other the past and future as far as the scene stood still.
-    """
+    frame: Array
+    noise: let.Noise
+    beside: list[Array]
+    past: Side | None = None
+    future: Side | None = None
+
+    def guides(self, trust: float, frame: Array | None = None) -> Guides:
+        """The mean of the adjacent frames, and past and future as far as the scene stood still.
+
+        ``trust`` 1: next to a change the frame (or the one given) says which of the two counts.
+        """
+        if self.past is None and self.future is None:
+            return NO_GUIDES
+        seen = self.frame if frame is None else frame
+        still, relative = shown(seen, self.past, self.future, self.noise, trust)
+        mean = self.beside[0] if len(self.beside) == 1 else np.float32(0.5) * (self.beside[0] + self.beside[1])
+        return [mean, still], np.array([1.0 / len(self.beside), relative], np.float32)
+
+    def system(self, depth: int, trust: float) -> let.System:
+        """Its risk system."""
+        return let.expand(self.frame, self.noise, depth, False, *self.guides(trust))[0]
+
+    def cost_of_trust(self, weights: Array, depth: int) -> float:
+        """Estimated risk per pixel with the frame's own choice between past and future, less that without it.
+
+        The choice makes a guide depend on the frame, which the risk system leaves out. To first order
+        E[x F] = E[y F - (alpha y + variance) dF/dy]; disturbing the frame along random signs sums the derivatives.
+        """
+        y, noise = self.frame, self.noise
+        spread = np.sqrt(max(float(np.mean(noise.alpha * y + noise.variance)), 1e-30))
+        signs = np.random.default_rng(0).choice(np.array([-PROBE, PROBE], np.float32), y.shape) * np.float32(spread)
+
+        def both(frame: Array) -> tuple[Array, Array]:
+            trusting, not_trusting = (
+                let.apply(frame, noise, depth, False, *self.guides(trust, frame), weights).astype(np.float64)
+                for trust in (1.0, 0.0)
+            )
+            return trusting, not_trusting
+
+        (more_1, more_0), (less_1, less_0), (here_1, here_0) = both(y + signs), both(y - signs), both(y)
+        slope = ((more_1 - more_0) - (less_1 - less_0)) / (2.0 * signs)
+        gained = y * (here_1 - here_0) - (noise.alpha * y + noise.variance) * slope
+        return float(np.mean(here_1**2 - here_0**2 - 2.0 * gained))
+
+
+def sights(data: Array, first: int, stop: int, noise: let.Noise, neighbours: int) -> Iterator[tuple[int, Sight]]:
+    """The frames first … stop - 1 of ``data``, which should hold ``neighbours`` more on either side."""
     n = data.shape[0]
     if neighbours <= 0 or n < 2:
         for t in range(first, stop):
-            yield t, NO_GUIDES
+            yield t, Sight(data[t], noise, [])
         return
-    for t, still, relative in past_and_future(data, first, stop, noise, neighbours):
+    for t, past, future in past_and_future(data, first, stop, noise, neighbours):
         beside = [data[k] for k in (t - 1, t + 1) if 0 <= k < n]
-        mean = beside[0] if len(beside) == 1 else np.float32(0.5) * (beside[0] + beside[1])
-        yield t, ([mean, still], np.array([1.0 / len(beside), relative], np.float32))
+        yield t, Sight(data[t], noise, beside, past, future)
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """A movie's weights, none where it cannot be improved; estimated risk with them and without."""
+
+    weights: Array | None
+    trust: float
+    risk: float
+    untouched: float
+
+
+def learn(seen: list[Sight], depth: int, each: Callable[..., Iterable[Any]] = map) -> Learnt:
+    """Weights of least risk pooled over windows, and whether frames choose between their past and future.
+
+    They do unless that is estimated to cost: where everything moves, each frame would choose its own noise. ``each``
+    maps a function over the windows.
+    """
+    seen = [one for one in seen if one.noise.alpha > 0 or np.any(one.noise.variance)]
+    if depth == 0 or not seen:
+        return Learnt(None, 1.0, 0.0, 0.0)
+
+    def weighed(trust: float) -> Learnt:
+        weights, risk, untouched = let.learn(list(each(lambda one: one.system(depth, trust), seen)))
+        return Learnt(weights if risk < untouched else None, trust, risk, untouched)
+
+    trusting = weighed(1.0)
+    if trusting.weights is None or all(one.past is None or one.future is None for one in seen):
+        return trusting
+    costs = np.array(list(each(lambda one: one.cost_of_trust(trusting.weights, depth), seen)))
+    # In doubt, two standard errors, they do choose.
+    return weighed(0.0) if costs.mean() > 2.0 * costs.std() / np.sqrt(max(len(costs) - 1, 1)) else trusting
 
 
 def pure_let_movie(
@@ -74,36 +156,18 @@ def pure_let_movie(
     """
     data, variance = checked(movie, alpha, sigma, offset, dimensions=(3,))
     noise = let.Noise(float(alpha), np.broadcast_to(variance, data.shape[1:]), multiplied)
-    weights = movie_weights(data, noise, neighbours, levels, samples)
-    out = np.empty_like(data)
-    for t, guides in guided(data, 0, data.shape[0], noise, neighbours):
-        out[t] = apply_frame(data[t], noise, levels, weights, guides)
-    return out
-
-
-def movie_weights(
-    data: Array, noise: let.Noise, neighbours: int, levels: int, samples: int
-) -> NDArray[np.float64] | None:
-    """Weights of least pooled risk over ``samples`` frames; None where the data cannot be improved."""
-    parts: list[let.System] = []
-    depth = depth_for(data.shape[1:], levels, False)
+    seen: list[Sight] = []
     chosen = sample_frames(data.shape[0], samples)
     for number, t in enumerate(chosen):
         first = max(0, t - neighbours)
         for tile in sample_windows(data.shape[1:], number, len(chosen)):
             part = np.ascontiguousarray(data[(slice(first, t + neighbours + 1), *tile)])
-            parts += sample_system(part, t - first, noise.within(tile), neighbours, depth)
-    return chosen_weights(parts)
-
-
-def sample_system(data: Array, t: int, noise: let.Noise, neighbours: int, depth: int) -> list[let.System]:
-    """The risk system of frame ``t`` of ``data``, a window that holds what its guides are made of, if it has one."""
-    if depth == 0 or (noise.alpha == 0 and not np.any(noise.variance)):
-        return []
-    return [
-        let.expand(data[t], noise, depth, False, guides, relative)[0]
-        for _, (guides, relative) in guided(data, t, t + 1, noise, neighbours)
-    ]
+            seen += [one for _, one in sights(part, t - first, t - first + 1, noise.within(tile), neighbours)]
+    learnt = learn(seen, depth_for(data.shape[1:], levels, False))
+    out = np.empty_like(data)
+    for t, sight in sights(data, 0, data.shape[0], noise, neighbours):
+        out[t] = apply_frame(sight, levels, learnt)
+    return out
 
 
 def sample_frames(n_frames: int, samples: int) -> list[int]:
@@ -118,22 +182,14 @@ def sample_windows(shape: tuple[int, ...], number: int, n_samples: int) -> list[
     return [tiles[(number * each + k) * STRIDE % len(tiles)] for k in range(each)]
 
 
-def chosen_weights(parts: list[let.System]) -> NDArray[np.float64] | None:
-    """Weights of least pooled risk; None where the data cannot be improved."""
-    if not parts:
-        return None
-    weights, risk, untouched = let.learn(parts)
-    return weights if risk < untouched else None
-
-
-def apply_frame(
-    frame: Array, noise: let.Noise, levels: int, weights: Array | None, guides: Guides = NO_GUIDES
-) -> NDArray[np.float32]:
-    """One frame with given weights."""
-    if weights is None:
+def apply_frame(sight: Sight, levels: int, learnt: Learnt) -> NDArray[np.float32]:
+    """One frame with the movie's weights."""
+    frame = sight.frame
+    if learnt.weights is None:
         return np.asarray(frame, np.float32)
     depth = depth_for(frame.shape, levels, False)
-    return same_mean(let.apply(frame, noise, depth, False, *guides, weights), frame)
+    guides = sight.guides(learnt.trust)
+    return same_mean(let.apply(frame, sight.noise, depth, False, *guides, learnt.weights), frame)
 
 
 def pure_let_traces(
