@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.effects.optics import Astigmatism
+from napari_mufasa.effects.illumination import IlluminationProfile
+from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
 from napari_mufasa.observe import PARTS, checkerboard, observe
 from napari_mufasa.observe.summary import OnStates, _gap_lengths, _slope
 from napari_mufasa.observe.table import Table
@@ -82,3 +83,18 @@ def test_the_axis_of_astigmatism_is_read_off(axis_deg):
     turned = Astigmatism(log_ratio=0.4, axis_deg=axis_deg)
     seen = Astigmatism.read_off(observe(nm.simulate(model.with_effects(turned), seed=3).movie, model))["axis_deg"]
     assert abs((seen - axis_deg + 90) % 180 - 90) < 10
+
+
+@pytest.mark.parametrize(
+    "added",
+    [
+        IlluminationProfile(edge_dimming=0.5, direction_deg=200.0, form="linear"),
+        IlluminationProfile(edge_dimming=0.5, direction_deg=200.0, form="off_centre"),
+        BackgroundGradient(relative_height=0.5, direction_deg=200.0, form="linear"),
+        BackgroundGradient(relative_height=0.5, direction_deg=200.0, form="hump"),
+    ],
+)
+def test_the_bright_side_is_read_off(added):
+    model = small(**{"acquisition.shape_px": (96, 96)})
+    seen = added.read_off(observe(nm.simulate(model.with_effects(added), seed=4).movie, model))["direction_deg"]
+    assert abs((seen - 200.0 + 180) % 360 - 180) < 15

@@ -22,7 +22,7 @@ FLOORS = {
     "dark_mean": 0.02,
     "common_mode_alternate": 0.0003, "pixel_lag": 0.0008, "neighbour": 0.0008, "dark_trend": 0.02, "dark_tail": 0.01,
     "photon_transfer": 0.003, "background_variance": 0.003, "background_skewness": 0.004, "level": 0.008,
-    "background_map_bow": 0.002, "count_dark": 0.002,
+    "background_map_bow": 0.002, "background_map_tilt": 0.002, "count_dark": 0.002,
 }  # fmt: skip
 
 

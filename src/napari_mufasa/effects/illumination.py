@@ -81,6 +81,18 @@ def seen_step(observation: Observation) -> dict[str, float]:
     return {"step_at": float(np.clip(at / max(n - 1, 1), 0, 1)), "step_frames": float(rise)}
 
 
+def bright_side() -> Any:
+    """The field `direction_deg` of effects that make one side of the field brighter."""
+    return parameter(0.0, plausible=(0, 360), unit="deg", description="where it is brightest; 0 along x, 90 along y")
+
+
+def seen_bright_side(observation: Observation) -> dict[str, float]:
+    """`direction_deg` as the background's tilt shows it."""
+    seen = dict(zip(observation.names, observation.part("all"), strict=True))
+    tilt = np.arctan2(seen["background_map_tilt_y"], seen["background_map_tilt_x"])
+    return {"direction_deg": float(np.rad2deg(tilt) % 360)}
+
+
 class IlluminationProfile(Effect):
     kind = "illumination_profile"
     stage = STAGE
@@ -101,10 +113,15 @@ class IlluminationProfile(Effect):
         unit="",
         description="light lost at the field's dimmest edge",
     )
+    direction_deg: float = bright_side()
     form: Literal["gaussian", "off_centre", "linear"] = "gaussian"
 
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, float]:
+        return seen_bright_side(observation)
+
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        angle = rng.uniform(0, 2 * np.pi)
+        angle = np.deg2rad(self.direction_deg)
 
         def profile(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
@@ -112,7 +129,7 @@ class IlluminationProfile(Effect):
                 height, width = np.array(scene.shape_px) / max(scene.shape_px)
                 reach = width * abs(np.cos(angle)) + height * abs(np.sin(angle))  # from the centre to the last corner
                 along: Array = (u * np.cos(angle) + v * np.sin(angle)) / reach
-                return 1 - self.edge_dimming * (1 + along) / 2
+                return 1 - self.edge_dimming * (1 - along) / 2
             cy, cx = (0.5 * np.sin(angle), 0.5 * np.cos(angle)) if self.form == "off_centre" else (0.0, 0.0)
             decay = np.log(1 - self.edge_dimming)
             left: Array = np.exp(decay * ((v - cy) ** 2 + (u - cx) ** 2) / (1 + cy**2 + cx**2))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from napari_mufasa.effects.base import Effect, parameter
+from napari_mufasa.effects.illumination import bright_side, seen_bright_side
 from napari_mufasa.scene import Array, Scene
 
 if TYPE_CHECKING:
@@ -67,11 +68,16 @@ class BackgroundGradient(Effect):
     relative_height: float = parameter(
         0.4, ge=0, le=10, plausible=(0.03, 1.2), unit="", log=True, description="rise across the field / mean"
     )
+    direction_deg: float = bright_side()
     form: Literal["linear", "hump"] = "linear"
 
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, float]:
+        return seen_bright_side(observation)
+
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        angle = rng.uniform(0, 2 * np.pi)
-        centre = rng.uniform(-0.6, 0.6, 2)
+        angle = np.deg2rad(self.direction_deg)
+        centre = 0.4 * np.array([np.sin(angle), np.cos(angle)])
 
         def shape(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)

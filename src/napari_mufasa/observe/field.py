@@ -241,7 +241,8 @@ def _map(table: Table, mean: Array, mask: NDArray[np.bool_]) -> None:
         rest = float(np.var(relative - design @ solution))
     where = "background across the field"
     table.add("background_map_bow", r2, "background bow (centre to edge)", "rel.", where)
-    table.log("background_map_tilt", sy**2 + sx**2 + 1e-5, "background tilt²", where)
+    table.add("background_map_tilt_y", sy, "background tilt along y", "rel.", where)
+    table.add("background_map_tilt_x", sx, "background tilt along x", "rel.", where)
     table.log("background_map_rest", rest + 1e-7, "background unevenness² beyond tilt and bow", where)
 
 

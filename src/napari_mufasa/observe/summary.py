@@ -105,7 +105,8 @@ def _levels(table: Table, states: OnStates, positions: Array, shape_px: tuple[in
     u = (positions[:, 1] - (shape_px[1] - 1) / 2) / half
     r2, y, x = _slopes(np.clip(logs - middle, -1.5, 1.5), v, u)
     table.add("level_position_radial", r2, "brightness against distance from the centre", "ln", "spots")
-    table.add("level_position_tilt", np.hypot(y, x), "brightness tilt across the field", "ln", "spots")
+    table.add("level_position_tilt_y", y, "brightness tilt along y", "ln", "spots")
+    table.add("level_position_tilt_x", x, "brightness tilt along x", "ln", "spots")
 
 
 def _slopes(values: Array, v: Array, u: Array) -> tuple[float, float, float]:

@@ -1,0 +1,101 @@
+"""Real movies through `diagnose`, from a model without bleaching, triplet or heterogeneity: as they come out.
+
+    python -m benchmarks.real_movies            prints what docs/real_movies.md shows
+    python -m benchmarks.real_movies --write    and stores it there, with the figures of each report in build/
+
+W1 is that of extracted traces (photoelectrons per frame) against the model believed and the completed one, over the
+floor: W1 between halves of the measured molecules.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import napari_mufasa as nm
+from napari_mufasa import html_report, io
+from napari_mufasa.compare import compare_movie
+from napari_mufasa.traces import extract_traces
+from napari_mufasa.wording import effect_title, number, verdict_text
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared" / "data"
+
+
+def movies() -> Iterator[tuple[str, Any, nm.Model, Any, dict[str, Any]]]:
+    """Name, movie, believed model, dark frames, and how traces are chosen."""
+    smfret = nm.Model.from_json(ROOT / "docs" / "models" / "smfret_ixon.json")
+    yield "smfret_ixon_emccd.tif", io.load(DATA / "smfret_ixon_emccd.tif"), smfret, None, {"max_steps": 1}
+    yeast = nm.Model.from_json(ROOT / "docs" / "models" / "yeast_slimfield.json")
+    yeast = yeast.with_values({"fluorophore.cycles_before_bleaching": None})
+    counts = io.load(DATA / "yeast_slimfield_emccd.tif")
+    yield "yeast_slimfield_emccd.tif", counts[27:], yeast, counts[:27], {}
+
+
+def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
+    """One movie's section, as Markdown."""
+    line, fall = verdict_text(report)
+    minutes, megavoxels = report.seconds / 60, size
+    rows = [f"## {name}", "", f"{megavoxels}. **{line}** {fall} ({minutes:.1f} min on two cores.)", ""]
+    rows += ["| model | error | | fitted |", "|---|---|---|---|"]
+    candidates = {c.effect: c for c in report.ranking}
+    for step in report.history:
+        kind = step.get("added")
+        fitted = ""
+        if kind in candidates:
+            values, sd = candidates[kind].parameters, candidates[kind].parameters_sd
+            fitted = ", ".join(
+                f"{key} {number(value, sd.get(key)) if isinstance(value, float) else value}"
+                for key, value in values.items()
+            )
+        rows.append(f"| {effect_title(kind) if kind else 'believed'} | {step['error']:.2f} | | {fitted} |")
+    rows += [f"| floor | {report.error['floor']:.2f} | | |", ""]
+    near = [f"{effect_title(c.effect)} (evidence {c.evidence:.0f})" for c in report.ranking[:5]]
+    rows += [f"Ranking at the first step: {'; '.join(near)}.", ""]
+    rows += [*distances, ""]
+    still = [f"{f['title']} ({f['z']:.0f} → {f['z_after']:.0f} sd)" for f in report.failing if abs(f["z_after"]) > 3]
+    rows += [f"Still off: {'; '.join(still[:8]) or 'nothing beyond 3 sd'}.", ""]
+    rows += [f"* {note}" for note in report.notes]
+    return "\n".join(rows) + "\n"
+
+
+def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[str, Any]) -> str:
+    """W1 of the extracted traces against one model, in words."""
+    try:
+        found = compare_movie(movie, model, dark, fit=False, **options)
+    except nm.MufasaError as error:
+        return f"W1, {what}: not to be had ({error})"
+    w1 = found.w1
+    value = w1["mufasa"]
+    return f"W1, {what}: {value:.3g} {w1['unit']} (floor {w1['floor']:.3g})"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="movies whose name holds this word")
+    parser.add_argument("--write", action="store_true", help="store in docs/real_movies.md")
+    options = parser.parse_args()
+    sections = []
+    for name, movie, model, dark, rules in movies():
+        if options.only not in name:
+            continue
+        report = nm.diagnose(movie, model, dark)
+        folder = ROOT / "build" / "real_movies" / Path(name).stem
+        folder.mkdir(parents=True, exist_ok=True)
+        shape = " × ".join(str(n) for n in movie.shape)
+        html_report.export(folder, report, extract_traces(movie, model.camera, dark, **rules).traces, shape)
+        distances = [
+            f"* {distance(movie, model, dark, 'model believed', rules)}",
+            f"* {distance(movie, report.model, dark, 'completed model', rules)}",
+        ]
+        sections.append(told(name, report, distances, f"{shape} (frame, y, x)"))
+        print(sections[-1], flush=True)
+    if options.write:
+        text = "# Real movies\n\n`python -m benchmarks.real_movies --write` wrote this: the runs as they came out.\n\n"
+        io.write_text(ROOT / "docs" / "real_movies.md", text + "\n".join(sections))
+
+
+if __name__ == "__main__":
+    main()
