@@ -9,7 +9,7 @@ from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QHBoxLayout, QLa
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import guarded
-from napari_mufasa.widgets.layers import resolution_um, room_for, slim, unpainted
+from napari_mufasa.widgets.layers import resolution_um, room_for, shown_later, slim, unpainted
 from napari_mufasa.widgets.panel import MovieChooser, Panel
 from napari_mufasa.widgets.session import model_in, stack_of, stored
 
@@ -98,11 +98,17 @@ class DataPanel(Panel):
         self.start("Simulating the sample", work, self._add)
 
     def _add(self, found: list[Any]) -> Generator[None, None, None]:
+        from napari.layers import Image
+
         yield from room_for(self.viewer, found[-1][0].shape, found[-1][1].get("scale"))
         added = []
         for data, options, _ in found:
+            layer = Image(data, **(options | {"visible": False}))
+            yield
             with unpainted(self.viewer):
-                added.append(self.viewer.add_image(data, **options))
+                added.append(self.viewer.add_layer(layer))
+            if options.get("visible", True):
+                yield from shown_later(layer)
             yield
         self._take(next(layer for layer in added if stored(layer, "role") != "dark frames"))
         self.viewer.dims.set_point(0, 0)
