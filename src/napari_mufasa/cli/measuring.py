@@ -76,8 +76,12 @@ class ThresholdName(StrEnum):
 
 def denoise(
     movie: MovieFile,
-    model: ModelFile,
     out: Annotated[Path, typer.Option("--out", metavar="OUT", help="OUT.tif or OUT.zarr.")],
+    model: Annotated[Path | None, typer.Option("--model", metavar="MODEL.json", help="With the camera.")] = None,
+    dark: Annotated[
+        Path | None,
+        typer.Option("--dark", metavar="DARK", help="Or frames without light: an EMCCD is measured on the data."),
+    ] = None,
     method: Annotated[str | None, typer.Option("--method", metavar="NAME", help="Default: the best one.")] = None,
 ) -> None:
     """Estimate the light: photons per pixel and frame, float32."""
@@ -85,20 +89,35 @@ def denoise(
 
     from napari_mufasa import io
     from napari_mufasa.denoise.pipeline import denoise as run
+    from napari_mufasa.denoise.pipeline import measured_camera
     from napari_mufasa.model import Model
 
+    if (model is None) == (dark is None):
+        raise MufasaError(
+            "give --model MODEL.json, which holds the camera, or --dark DARK, frames without light to measure it on"
+        )
     console.check_movie_out(out)
-    believed = Model.from_json(model)
+    believed = None if model is None else Model.from_json(model)
     source = io.read_movie(movie)
     n_frames, height, width = source.data.shape
     options: dict[str, Any] = {} if method is None else {"method": method}
-    size_nm = believed.acquisition.pixel_size_nm
+    size_nm = None if believed is None else believed.acquisition.pixel_size_nm
     in_memory = 4 * n_frames * height * width <= IN_MEMORY_BYTES
     with console.scratch(out, (n_frames, height, width), np.float32, in_memory=in_memory) as result:
         with console.working("denoising") as work:
-            run(source.data, believed.camera, out=result, **options, **work.both())
+            if believed is not None:
+                camera = believed.camera
+            else:
+                camera = measured_camera(source.data, None if dark is None else io.load(dark), work.cancel)
+            run(source.data, camera, out=result, **options, **work.both())
         blocks = (result[start : start + 64] for start in range(0, n_frames, 64))
         io.write_movie(out, blocks, (n_frames, height, width), np.float32, pixel_size_nm=size_nm)
+    if believed is None:
+        per_electron = (camera.em_gain or 1.0) / camera.electrons_per_adu
+        typer.echo(
+            f"camera measured: baseline {camera.baseline_adu:.4g} ADU, {per_electron:.4g} ADU per photoelectron, "
+            f"quantum efficiency {camera.quantum_efficiency:g} assumed"
+        )
     typer.echo(f"{out}: {n_frames} frames of {height} × {width} px, photons per pixel and frame")
 
 

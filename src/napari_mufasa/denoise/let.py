@@ -333,7 +333,8 @@ def expand(
     variance = np.broadcast_to(noise.variance, image.shape).astype(image.dtype)
     a, b, v, v_adjoint, lows = image, image, variance, variance, list(guides)
     shapes: list[tuple[int, ...]] = []
-    planes: list[Array] = []
+    size = levels * (SPATIAL + PER_GUIDE * len(guides)) + len(guides)
+    stacked = np.empty((1 + size, image.size), image.dtype)
     cross: list[float] = []
 
     def down(plane: Array, level: int) -> Array:
@@ -349,19 +350,19 @@ def expand(
         cross += bands.terms(_children(b_covered, h, flat), _children(v_covered, h, flat))
         # One weight for all orientations: a microscope prefers none, and a third of the weights is a third of the
         # over-fitting.
-        for candidate in bands.candidates():
+        for place, candidate in enumerate(bands.candidates(), 1 + number * (size - len(guides)) // levels):
             plane = haar.synthesise(None, candidate[: bands.n], h, flat, shapes[number])
-            planes.append(down(plane, number))
+            stacked[place] = down(plane, number).ravel()
         a = bands.s
         b, v_adjoint = haar.children_sum(b_covered, h, low, flat), haar.children_sum(v_covered, h, low, flat)
 
     fixed = down(a, levels)
     b64 = b.astype(np.float64)
     fixed_cross = float((b64 * a).sum() - noise.alpha * b64.sum() - v_adjoint.sum(dtype=np.float64))
-    for guide in lows:
-        planes.append(down(guide, levels) - fixed)
+    stacked[0] = fixed.ravel()
+    for place, guide in enumerate(lows, 1 + size - len(guides)):
+        stacked[place] = down(guide, levels).ravel() - stacked[0]
         cross.append(float((b64 * guide).sum()) - fixed_cross)
-    stacked = np.stack([fixed, *planes]).reshape(len(planes) + 1, -1)
     products = gram(stacked)
     data = image.astype(np.float64)
     total_noise = noise.alpha * float(data.sum()) + float(variance.sum(dtype=np.float64))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 Method = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
-#: Frames read, denoised and written together.
-BLOCK = 32
+#: Frames read, denoised and written together, at most so many and so many pixels.
+BLOCK, BLOCK_PIXELS = 32, 2**25
 #: Frames whose pooled risk sets the weights of a movie.
 SAMPLES = 16
 #: Frames that settle how far the second pass goes.
@@ -48,8 +49,8 @@ def denoise(
     Parameters
     ----------
     movie : array (frame, y, x) or (y, x), ADU
-        numpy, dask or zarr; read in blocks of `BLOCK` frames and their neighbours. Peak memory: about 300 float32
-        frames for a block plus 60 per worker thread (4 at most), and the result unless ``out`` is on disk.
+        numpy, dask or zarr; read in blocks of `BLOCK` frames (fewer above 1024 x 1024 pixels) and their neighbours.
+        Peak memory: about 300 float32 frames but at least 350 MB, and the result unless ``out`` is on disk.
     camera : Camera, optional
         Gain, read noise, baseline, quantum efficiency and maps. Without one they are measured on the movie and
         ``dark`` (`napari_mufasa.calibrate`, an EMCCD assumed): say what you know with a camera of your own.
@@ -100,13 +101,19 @@ def denoise(
         raise MufasaError(f"out has shape {tuple(result.shape)}, the movie {shape}; give the same shape")
     worker = _Frames(movie, camera, shape, method, excess_noise)
     worker.learn(cancel)
-    for start in range(0, shape[0], BLOCK):
+    block = block_frames(shape)
+    for start in range(0, shape[0], block):
         _stop_if(cancel)
-        stop = min(start + BLOCK, shape[0])
+        stop = min(start + block, shape[0])
         result[start:stop] = cam.photons(worker.block(start, stop), camera)
         if progress is not None:
             progress(stop, shape[0])
     return result
+
+
+def block_frames(shape: tuple[int, ...]) -> int:
+    """Frames read, denoised and written together: `BLOCK`, fewer of large ones."""
+    return max(8, min(BLOCK, BLOCK_PIXELS // (shape[1] * shape[2])))
 
 
 def measured_camera(movie: Any, dark: Any = None, cancel: Callable[[], bool] | None = None) -> Camera:
@@ -228,10 +235,12 @@ class _Frames:
         typical = self.noise(data[(start + stop) // 2 - first])
         # The kernels release the interpreter: threads share the block's frames.
         with ThreadPoolExecutor(max_workers=min(WORKERS, stop - start)) as pool:
-            work = [
-                pool.submit(one, t, sight)
-                for t, sight in sights(data, start - first, stop - first, typical, self.neighbours)
-            ]
+            work: deque[Any] = deque()
+            for t, sight in sights(data, start - first, stop - first, typical, self.neighbours):
+                work.append(pool.submit(one, t, sight))
+                # What the past and future show of a frame is let go as soon as the frame is done.
+                if len(work) > 2 * WORKERS:
+                    work.popleft().result()
             for done in work:
                 done.result()
         return out

@@ -1,0 +1,92 @@
+"""From file to file: a camera measured on dark frames from the command line, and movies larger than memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+import tifffile
+import zarr
+from tests.denoise.test_pipeline import EMCCD, record
+
+import napari_mufasa as nm
+from napari_mufasa import io
+from napari_mufasa.cli import main
+
+
+def test_the_command_line_measures_the_camera_on_dark_frames(tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    truth = np.broadcast_to(np.linspace(2, 12, 64)[None, None, :], (40, 64, 64))
+    movie, dark = record(truth, EMCCD, rng), record(np.zeros((30, 64, 64)), EMCCD, rng)
+    for name, data in (("movie", movie), ("dark", dark)):
+        tifffile.imwrite(tmp_path / f"{name}.tif", data)
+    out = tmp_path / "photons.tif"
+    with pytest.raises(SystemExit) as left:
+        main(["denoise", str(tmp_path / "movie.tif"), "--dark", str(tmp_path / "dark.tif"), "--out", str(out)])
+    assert not left.value.code
+    assert "camera measured: baseline 200" in capsys.readouterr().out
+    photons = io.load(out)
+    np.testing.assert_allclose(photons, nm.denoise(movie, dark=dark), rtol=1e-5)
+    # Photon transfer knows the gain to a few per cent.
+    assert photons.mean() / truth.mean() == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("options", [[], ["--model", "m.json", "--dark", "d.tif"]])
+def test_the_command_line_wants_one_source_of_the_camera(options, tmp_path, capsys):
+    tifffile.imwrite(tmp_path / "movie.tif", np.zeros((3, 8, 8), np.uint16))
+    with pytest.raises(SystemExit) as left:
+        main(["denoise", str(tmp_path / "movie.tif"), "--out", str(tmp_path / "o.tif"), *options])
+    message = capsys.readouterr().err
+    assert left.value.code == 2
+    assert "--model" in message and "--dark" in message
+    assert not (tmp_path / "o.tif").exists()
+
+
+#: Denoises a stored movie under a limit on the data that the process may hold, beyond what it holds before.
+UNDER_A_LIMIT = """
+    import resource, sys, numpy as np, zarr
+    import napari_mufasa as nm
+    from napari_mufasa.model import Camera
+
+    source, target, limit = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    camera = Camera(
+        type="EMCCD", quantum_efficiency=0.9, read_noise_e=50, clock_induced_charge_e=0.002, electrons_per_adu=12,
+        baseline_adu=200, em_gain=300,
+    )
+    movie, out = zarr.open(source, mode="r"), zarr.open(target, mode="r+")
+    nm.denoise(movie[:40], camera)  # compiled code and threads do not count
+    held = int(next(line for line in open("/proc/self/status") if line.startswith("VmData")).split()[1]) * 1024
+    resource.setrlimit(resource.RLIMIT_DATA, (held + limit, held + limit))
+    if len(sys.argv) > 4:
+        np.asarray(movie[:]).astype(np.float32)  # does not fit
+    nm.denoise(movie, camera, out=out)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits on a process's data are Linux's")
+def test_a_movie_larger_than_memory_streams(tmp_path):
+    # 960 frames of 160 x 160: 98 MB as float32 and as much again for the result, denoised with 64 MB to spare. The
+    # frames repeat, so that the file is quickly made.
+    frames, side, limit = 960, 160, 64 * 2**20
+    rng = np.random.default_rng(2)
+    part = record(np.full((32, side, side), 3.0), EMCCD, rng)
+    movie = zarr.open(
+        str(tmp_path / "in.zarr"), mode="w", shape=(frames, side, side), chunks=(32, side, side), dtype="u2"
+    )
+    for start in range(0, frames, 32):
+        movie[start : start + 32] = part
+    out = zarr.open(str(tmp_path / "out.zarr"), mode="w", shape=movie.shape, chunks=(32, side, side), dtype="f4")
+
+    def run(*more: str) -> subprocess.CompletedProcess[str]:
+        code = [sys.executable, "-c", textwrap.dedent(UNDER_A_LIMIT)]
+        paths = [str(tmp_path / "in.zarr"), str(tmp_path / "out.zarr"), str(limit)]
+        return subprocess.run([*code, *paths, *more], capture_output=True, text=True, check=False)
+
+    whole = run("all at once")
+    assert whole.returncode != 0 and "MemoryError" in whole.stderr, "the limit must be one"
+    done = run()
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert out[-1].mean() == pytest.approx(3.0, abs=0.1)
