@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 from pathlib import Path
@@ -75,6 +76,14 @@ def test_words_follow_the_evidence():
     line, sentence = headline(found)
     assert "blinking" in line  # nothing was added yet, but something would help
     assert "2.93 to 1.04" in sentence
+
+
+def test_headline_says_when_an_added_effect_did_not_help():
+    report = example.report()
+    worse = dataclasses.replace(report, verdict="unexplained", error=report.error | {"after": 3.1})
+    line, sentence = headline(worse)
+    assert "does not lower the error" in line and "Undo" in line
+    assert "it is 3.10" in sentence
 
 
 def test_export_writes_report_and_model(panel, tmp_path):

@@ -67,6 +67,55 @@ def test_cancel_frees_the_panel_within_a_second(bar, qtbot, polite):
     assert done == []  # a result that comes after Cancel is thrown away
 
 
+def test_interface_has_its_turn_between_the_parts_of_a_result(bar, qtbot):
+    from qtpy.QtCore import QTimer
+
+    beats, parts, ended = [], [], []
+    heart = QTimer(bar)
+    heart.timeout.connect(lambda: beats.append(bar.running))
+    heart.start(1)
+    bar.finished.connect(lambda: ended.append(len(parts)))
+
+    def done(value):
+        for _part in range(value):
+            parts.append(len(beats))
+            yield
+
+    with qtbot.waitSignal(bar.finished, timeout=5000):
+        bar.start("Working", lambda progress, cancel: 4, done)
+    heart.stop()
+    assert ended == [4] and not bar.running
+    assert min(np.diff(parts)) >= 1  # the event loop had a turn after each
+    assert all(beats[parts[0] : parts[-1]])  # the run is not over before its last part
+
+
+def test_error_in_a_part_of_the_result_is_told_and_ends_the_run(bar, qtbot):
+    def done(value):
+        yield
+        raise MufasaError("layer x was removed: open it again")
+
+    with qtbot.waitSignal(bar.finished, timeout=5000):
+        bar.start("Working", lambda progress, cancel: 1, done)
+    assert "open it again" in bar.message.text() and bar.run_button.isEnabled() and not bar.running
+
+
+def test_window_is_painted_again_after_a_layer_came(viewer, qtbot):
+    from napari_mufasa.widgets.layers import room_for, unpainted
+
+    window = viewer.window._qt_window
+    list(room_for(viewer, (9, 32, 48), (1, 0.1, 0.1)))
+    assert viewer.dims.ndim == 3 and viewer.dims.nsteps == (9, 32, 48)
+    with unpainted(viewer):
+        assert not window.updatesEnabled()
+        layer = viewer.add_image(np.zeros((9, 32, 48)), scale=(1, 0.1, 0.1), contrast_limits=(0, 1))
+    qtbot.waitUntil(window.updatesEnabled, timeout=2000)
+    with pytest.raises(ZeroDivisionError), unpainted(viewer):
+        1 / 0  # noqa: B018
+    qtbot.waitUntil(window.updatesEnabled, timeout=2000)
+    list(room_for(viewer, (2, 3, 4, 5)))  # not empty any more: nothing is changed
+    assert viewer.dims.ndim == 3 and layer in viewer.layers
+
+
 def test_error_is_a_notification_with_its_remedy(bar, qtbot):
     def work(progress, cancel):
         raise MufasaError("em_gain = -1: give 1 … 100000")
