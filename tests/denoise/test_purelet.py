@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.denoise_risk import honest_ratio
+from benchmarks.scenes import photograph
 
 from napari_mufasa.denoise import fused, let, pure_let, pure_let_traces
 from napari_mufasa.errors import MufasaError
@@ -128,7 +130,9 @@ def test_borders_are_as_good_as_the_inside():
     # No padding: over 20 images of a flat scene the mean square error of the outermost pixels stays below 4 times
     # the inner one (a corner has no other shifts to average over) and far below the noise (3).
     rng = np.random.default_rng(6)
-    error = np.mean([(pure_let(rng.poisson(3.0, (64, 64))) - 3.0) ** 2 for _ in range(20)], axis=0)
+    error = np.mean(
+        [(pure_let(rng.poisson(3.0, (64, 64)), method="undecimated") - 3.0) ** 2 for _ in range(20)], axis=0
+    )
     edge = np.mean([error[0].mean(), error[-1].mean(), error[:, 0].mean(), error[:, -1].mean()])
     assert edge < 0.5
     assert error[16:-16, 16:-16].mean() < 0.2
@@ -148,7 +152,7 @@ def test_reported_risk_is_honest():
     x = scene(128) * 20
     difference, true = [], []
     for _ in range(24):
-        out, risk = pure_let(rng.poisson(x), return_risk=True)
+        out, risk = pure_let(rng.poisson(x), method="undecimated", return_risk=True)
         true.append(np.mean((out - x) ** 2))
         difference.append(risk - true[-1])
     assert abs(np.mean(difference)) < 4 * np.std(difference) / np.sqrt(24) + 0.03 * np.mean(true)
@@ -219,7 +223,7 @@ def test_like_patches_help_where_the_image_repeats_itself():
     first = second = 0.0
     for _ in range(4):
         y = rng.poisson(x)
-        first += np.mean((pure_let(y) - x) ** 2)
+        first += np.mean((pure_let(y, method="undecimated") - x) ** 2)
         second += np.mean((pure_let(y, method="patches") - x) ** 2)
     assert second < 0.85 * first
 
@@ -230,7 +234,7 @@ def test_like_patches_do_no_harm_where_hardly_a_count_is_seen():
     first = second = 0.0
     for _ in range(4):
         y = rng.poisson(x)
-        first += np.mean((pure_let(y) - x) ** 2)
+        first += np.mean((pure_let(y, method="undecimated") - x) ** 2)
         second += np.mean((pure_let(y, method="patches") - x) ** 2)
     assert second < 1.03 * first
 
@@ -249,23 +253,10 @@ def test_the_second_pass_is_linear_in_the_data_at_the_pilot():
     assert np.mean((np.mean(runs, axis=0) - 0.2) ** 2) < 0.01
 
 
-@pytest.mark.parametrize("peak", [1, 10, 40])
+@pytest.mark.parametrize("peak", [10, 30])
 def test_reported_risk_is_the_true_risk_within_two_per_cent(peak):
-    # Most of the difference between estimated and true risk is chance of the data alone: (y - x)^2 - y and
-    # (y - x) x have mean zero, and are taken off by regression. What is left must have a mean within 2 % of the true
-    # risk plus 3.5 of its own standard errors: a false alarm in 2000 runs even if the truth sat at the 2 %.
-    rng = np.random.default_rng(peak)
-    x = scene(128) * peak
-    error, true, chance = [], [], []
-    for _ in range(40):
-        y = rng.poisson(x).astype(float)
-        out, risk = pure_let(y, return_risk=True)
-        true.append(np.mean((out - x) ** 2))
-        error.append(risk - true[-1])
-        chance.append([1.0, np.mean((y - x) ** 2 - y), np.mean((y - x) * x)])
-    design, relative = np.array(chance), np.array(error) / np.mean(true)
-    fit = np.linalg.lstsq(design, relative, rcond=None)[0]
-    left = relative - design @ fit
-    spread = np.sqrt(np.sum(left**2) / 37 * np.linalg.inv(design.T @ design)[0, 0])
-    assert spread < 0.06
-    assert abs(fit[0]) < 0.02 + 3.5 * spread
+    # The picture and the size of the published values. With what is known to be chance taken off, 36 draws know the
+    # ratio to 0.7 %: a truth 2 % off would fail once in 700 runs, one of 1.00 (measured 0.99 to 1.00) never.
+    ratio, error, _ = honest_ratio(photograph(256) * peak, np.random.default_rng(peak), 36, "undecimated")
+    assert error < 0.010
+    assert abs(ratio - 1) < 0.02 + 3 * error
