@@ -123,7 +123,7 @@ def z_scores(ax: Axes, observables: pd.DataFrame, top: int = 10) -> None:
         return parts.empty(ax, "no observables")
     y = np.arange(len(table))
     before, after = table["z_before"].to_numpy(float), table["z_after"].to_numpy(float)
-    ax.axvspan(-3, 3, color=p.grid, alpha=0.7, lw=0, label="as expected (± 3 sd)")
+    ax.axvspan(-3, 3, color=p.muted, alpha=0.22, lw=0, label="as expected (± 3 sd)")
     ax.axvline(0, color=p.muted, lw=0.8, zorder=0)
     ax.plot(before, y, "o", color=p.before, ms=5, label="base model")
     if not np.array_equal(before, after):  # nothing was added yet: one model only

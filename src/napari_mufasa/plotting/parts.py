@@ -47,7 +47,8 @@ def legend(ax: Axes, loc: Any = "best") -> None:
 def rows(ax: Axes, labels: Sequence[str]) -> None:
     """Names above their bars, inside the Axes, where they fit at any width."""
     p = palette()
-    box = {"facecolor": p.background, "edgecolor": "none", "alpha": 0.75, "pad": 0.4}
+    ground = ax.figure.get_facecolor()  # in the viewer it is napari's, not the palette's
+    box = {"facecolor": ground, "edgecolor": "none", "alpha": 0.75, "pad": 0.4}
     for y, label in enumerate(labels):
         ax.annotate(
             " " + label, (0, y + 0.24), xycoords=ax.get_yaxis_transform(), va="bottom", fontsize=7.5,

@@ -190,8 +190,8 @@ def _with_figure(function: Draw, width: int, height: int, dpi: float, theme: tup
         figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi, layout="constrained")
         canvas: Any = FigureCanvasAgg
         canvas(figure)
-        function(figure)
         figure.set_facecolor(background)
+        function(figure)
         for axes in figure.axes:
             axes.set_facecolor(background)
         return then(figure)
