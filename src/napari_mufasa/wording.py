@@ -81,7 +81,10 @@ def parameter_lines(candidate: Candidate) -> list[str]:
     """Every parameter with value, sd and unit: "distance = 1.52 ± 0.04 px"."""
     lines = []
     for name, value in candidate.parameters.items():
-        if name == "kind":
+        if name == "kind" or value == ():
+            continue
+        if isinstance(value, (tuple, list)):
+            lines.append(f"{parameter_label(candidate.effect, name)[0]}: {len(value)} values, read off the movie")
             continue
         label, unit = parameter_label(candidate.effect, name)
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)

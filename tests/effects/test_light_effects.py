@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_emission
-from napari_mufasa.effects.illumination import seen_step
+from napari_mufasa.effects.illumination import seen_course, seen_step
 
 from .helpers import ccd, effect, plain, scene_of
 
@@ -205,3 +205,23 @@ def test_background_decays_with_its_variance_while_spots_stay():
     # 100 frames each, |z| > 5: overall 1e-4. Poisson: variance = mean.
     assert np.all(np.abs(movie.mean(axis=(1, 2)) - 20 * left) < 5 * np.sqrt(20 * left / n))
     assert np.all(np.abs(movie.var(axis=(1, 2)) / (20 * left) - 1) < 5 * np.sqrt(2.2 / n))
+
+
+# Courses that are read off ----------------------------------------------------------------------------------
+
+
+def test_light_that_wanders_follows_the_course_it_is_given():
+    seen = (0.0, 1.0, -0.5, 0.2)
+    added = effect("laser_drift", change=0.4, form="wandering", course=seen)
+    light = scene_of(plain(n_frames=401).with_effects(added)).light
+    at = ((np.arange(4) + 0.5) / 4 * 400).astype(int)
+    np.testing.assert_allclose(light[at], 1 + 0.4 * np.array(seen), atol=1e-12)
+
+
+def test_a_course_is_seen_where_readings_agree_and_only_there():
+    """White noise: F(19, 285) > 5 happens less than once in 10⁸."""
+    rng = np.random.default_rng(8)
+    walk = np.cumsum(rng.standard_normal(20))
+    seen = np.array(seen_course(walk + rng.standard_normal((15, 20)))["course"])
+    assert np.corrcoef(seen, walk)[0, 1] > 0.97 and seen[0] == 0 and np.abs(seen).max() == 1
+    assert seen_course(rng.standard_normal((15, 20)))["course"] == ()

@@ -7,6 +7,7 @@ fresh simulations at the end point judge it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,20 +77,25 @@ def planned_simulations() -> int:
     return 6 + 2 * ROUND_SIMULATIONS + CHECK_SIMULATIONS
 
 
-def refine(library: Library, state: State, start: Effect, x: Array) -> Fit:
-    """Fit `start` into `state` so that it explains the measurement x (part, observable)."""
-    found = refine_if_promising(library, state, start, x, 0.0)
+def refine(library: Library, state: State, starts: Effect | Sequence[Effect], x: Array) -> Fit:
+    """Fit an effect into `state` so that it explains the measurement x (part, observable), from the best of `starts`:
+    the same effect in different forms."""
+    found = refine_if_promising(library, state, starts, x, 0.0)
     assert found is not None  # nothing to beat
     return found
 
 
-def refine_if_promising(library: Library, state: State, start: Effect, x: Array, to_beat: float) -> Fit | None:
+def refine_if_promising(
+    library: Library, state: State, starts: Effect | Sequence[Effect], x: Array, to_beat: float
+) -> Fit | None:
     """As `refine`; None where the best start promises far less evidence than `to_beat`."""
-    seen = start.read_off(library.bench.measured)
-    start = changed(start, seen)
+    starts = [starts] if isinstance(starts, Effect) else starts
+    seen = starts[0].read_off(library.bench.measured)
+    starts = [changed(start, seen) for start in starts]
+    start = starts[0]
     coordinates = [c for c in Coordinate.of(start, state.model) if c.name not in seen]
     n = len(coordinates)
-    climbed, gain = _climbed(library, state, _best_shape(library, state, start, coordinates, x), x)
+    climbed, gain = _climbed(library, state, _best_shape(library, state, starts, coordinates, x), x)
     if to_beat > 0 and gain < HOPELESS * to_beat:
         return None
     local = replace(
@@ -109,9 +115,11 @@ def refine_if_promising(library: Library, state: State, start: Effect, x: Array,
     return judge(library, local, x, n)
 
 
-def _best_shape(library: Library, state: State, start: Effect, coordinates: list[Coordinate], x: Array) -> Effect:
-    """`start` with the shape that explains most, of a few across the plausible range of each shape parameter."""
-    trials = [start]
+def _best_shape(
+    library: Library, state: State, starts: Sequence[Effect], coordinates: list[Coordinate], x: Array
+) -> Effect:
+    """What explains most: one of `starts`, or the first in one of a few shapes across the plausible range of each."""
+    trials, start = list(starts), starts[0]
     plausible = type(start).plausible(state.model)
     for name in (c.name for c in coordinates if c.name != start.strength):
         low, high, log = plausible[name]
@@ -186,7 +194,9 @@ def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
 
 
 def settle(library: Library, found: Fit, x: Array) -> Fit:
-    """The fit judged again by more simulations, as suits one that enters the model."""
+    """The fit judged by more simulations, as suits one that enters the model or has a close rival."""
+    if len(found.state.check) > CHECK_SIMULATIONS:
+        return found
     n_effect = sum(path.startswith(f"{found.effect.kind}.") for path in found.state.free)
     more = library.bench.rows([(found.state.model, k) for k in range(SETTLING_SIMULATIONS)])
     rows = np.concatenate([found.state.check[:CHECK_SIMULATIONS], more])

@@ -37,6 +37,7 @@ FINALISTS, LATER_FINALISTS = (
 PROMISING = 0.6  # a lead or form is worth a fit from this share of the evidence that is needed or already had
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
 CONTESTED = 0.6  # effects with this share of the best evidence are contested: each may show its best form
+CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
@@ -139,10 +140,11 @@ class Investigation:
         self.bench.plan(simulations + FINALISTS * fit.planned_simulations())
         self._library = library.build(self.bench, library.matched(self.bench, start), self.kinds)
 
-    def leads(self) -> dict[str, Lead]:
-        """What every effect not yet in the model promises in its best form, by the emulator."""
+    def leads(self) -> dict[str, list[Lead]]:
+        """What every effect not yet in the model promises in each of its forms, by the emulator; best first."""
         rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in self.chosen}
-        return {kind: forms[0] for kind, forms in self.state.screen(self.x, rays).items()}
+        leads = self.state.screen(self.x, rays)
+        return dict(sorted(leads.items(), key=lambda item: -item[1][0].gain))
 
     def needed(self) -> float:
         """The evidence that the next effect must bring."""
@@ -156,7 +158,7 @@ class Investigation:
 
     def alarmed(self) -> bool:
         """Is the model inadequate beyond chance, or a further effect worth a fit?"""
-        lead = max((lead.gain for lead in self.leads().values()), default=0.0)
+        lead = max((forms[0].gain for forms in self.leads().values()), default=0.0)
         if self.fits:
             return lead > PROMISING * self.needed()
         return lead > self.needed() or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
@@ -168,20 +170,9 @@ class Investigation:
 
     def rank(self) -> list[Candidate]:
         """What is missing: the leads, the best of them fitted by direct simulation, best first."""
-        leads = dict(sorted(self.leads().items(), key=lambda item: -item[1].gain))
-        finalists = self._finalists(leads)
-        self.bench.plan(len(finalists) * fit.planned_simulations())
+        leads = self.leads()
         self._tried = {}
-        for kind in finalists:
-            to_beat = max((self.state.score(self.x) - found.score for found in self._tried.values()), default=0.0)
-            tried = fit.refine_if_promising(self.library, self.state, leads[kind].start(), self.x, to_beat)
-            if tried is not None:
-                self._tried[kind] = tried
-        least = CONTESTED * max(self.state.score(self.x) - found.score for found in self._tried.values())
-        contested = [k for k, found in self._tried.items() if self.state.score(self.x) - found.score > least]
-        if len(contested) > 1:
-            self._tried |= {kind: self._best_form(self._tried[kind]) for kind in contested}
-            self._formed = set(contested)
+        self._fit_the_best(leads)
         if not self.fits:
             self._alone = dict(self._tried)
         fitted = sorted(self._tried.items(), key=lambda item: item[1].score)
@@ -189,7 +180,7 @@ class Investigation:
         for kind, found in fitted:
             near = tuple(k for k, other in fitted if k != kind and abs(other.score - found.score) < NEAR)
             self.ranking.append(self._candidate(found, near))
-        for kind, lead in leads.items():
+        for kind, (lead, *_) in leads.items():
             if kind not in self._tried:
                 p = self.null.p_evidence(lead.gain)
                 self.ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, _parameters(lead.start()), {}))
@@ -204,7 +195,7 @@ class Investigation:
         if isinstance(what, Effect):
             found = fit.refine(self.library, self.state, what, self.x)
         else:
-            found = self._tried.get(kind) or fit.refine(self.library, self.state, self._start(kind), self.x)
+            found = self._tried.get(kind) or fit.refine(self.library, self.state, self._starts(kind), self.x)
             found = found if kind in self._formed else self._best_form(found)
         found = fit.settle(self.library, found, self.x)
         near = {c.effect: c.indistinguishable_from for c in self.ranking}.get(kind, ())
@@ -223,7 +214,7 @@ class Investigation:
         worth = PROMISING * leads[0].gain
         others = [e.start() for e in leads if e.gain > worth and e.ray.effect.form_name != found.effect.form_name]
         self.bench.plan(len(others) * fit.planned_simulations())
-        had = self.state.score(self.x) - found.score
+        had = self._evidence(found)
         tries = [fit.refine_if_promising(self.library, self.state, other, self.x, had) for other in others]
         return min([found, *filter(None, tries)], key=lambda f: f.score)
 
@@ -256,27 +247,53 @@ class Investigation:
 
     # Inside -------------------------------------------------------------------------------------------------
 
-    def _finalists(self, leads: dict[str, Lead]) -> list[str]:
+    def _fit_the_best(self, leads: dict[str, list[Lead]]) -> None:
+        """Fit the finalists; those that are contested in all their forms, close rivals with more simulations."""
+        finalists = self._finalists(leads)
+        self.bench.plan(len(finalists) * fit.planned_simulations())
+        for kind in finalists:
+            to_beat = max(map(self._evidence, self._tried.values()), default=0.0)
+            starts = [lead.start() for lead in leads[kind]]
+            tried = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat)
+            if tried is not None:
+                self._tried[kind] = tried
+        contested = self._within(CONTESTED)
+        if len(contested) > 1:
+            self._tried |= {kind: self._best_form(self._tried[kind]) for kind in contested}
+            self._formed = set(contested)
+        if len(close := self._within(CLOSE)) > 1:
+            self._tried |= {kind: fit.settle(self.library, self._tried[kind], self.x) for kind in close}
+
+    def _within(self, share: float) -> list[str]:
+        """The fitted effects with more than this share of the best evidence."""
+        best = max(map(self._evidence, self._tried.values()))
+        return [kind for kind, found in self._tried.items() if self._evidence(found) > share * best]
+
+    def _finalists(self, leads: dict[str, list[Lead]]) -> list[str]:
         """The leads worth a fit: the best few, fewer where the first is far ahead or none can be convincing."""
         order = list(leads)
-        gain = [leads[kind].gain for kind in order]
+        gain = [leads[kind][0].gain for kind in order]
         if self.fits:
             return [k for i, k in enumerate(order[:LATER_FINALISTS]) if i < 1 or gain[i] > PROMISING * self.needed()]
         return [k for i, k in enumerate(order[:FINALISTS]) if i < 2 or gain[i] > 0.25 * max(gain[0], 1.0)]
+
+    def _evidence(self, found: Fit) -> float:
+        """Twice the log likelihood ratio of a fit against the model as it stands."""
+        return self.state.score(self.x) - found.score
 
     def _candidate(self, found: Fit, near: tuple[str, ...]) -> Candidate:
         """The case of a fitted effect against the model as it stands."""
         before, after = self.state.held_out_error(self.x), found.state.held_out_error(self.x)
         share = float(np.clip((before - after) / max(before - self.state.floor, 1e-9), 0.0, 1.0))
-        gain = max(self.state.score(self.x) - found.score, 0.0)
+        gain = max(self._evidence(found), 0.0)
         p = self.null.p_evidence(gain)
         return Candidate(found.effect.kind, p, gain, after, share, _parameters(found.effect), found.sd, near)
 
-    def _start(self, kind: str) -> Effect:
+    def _starts(self, kind: str) -> list[Effect]:
         leads = self.leads()
         if kind not in leads:
             raise MufasaError(f"{kind} was left out of this investigation: name it in `effects`")
-        return leads[kind].start()
+        return [lead.start() for lead in leads[kind]]
 
     @property
     def seconds(self) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -245,8 +245,8 @@ def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -
 
 def choice_fields(effect: type[Effect]) -> dict[str, tuple[str, ...]]:
     """Fields with named options: the form, and others like it."""
-    fields = {name: getattr(field.annotation, "__args__", ()) for name, field in effect.model_fields.items()}
-    return {name: tuple(options) for name, options in fields.items() if options}
+    fields = {name: field.annotation for name, field in effect.model_fields.items()}
+    return {name: get_args(options) for name, options in fields.items() if get_origin(options) is Literal}
 
 
 def scaled(effect: Effect, scale: float) -> Effect:
@@ -255,7 +255,7 @@ def scaled(effect: Effect, scale: float) -> Effect:
     return changed(effect, {name: null + (float(getattr(effect, name)) - null) * scale})
 
 
-def changed(effect: Effect, values: dict[str, float], **choices: str) -> Effect:
+def changed(effect: Effect, values: dict[str, Any], **choices: str) -> Effect:
     """The effect with parameters changed, kept within their hard limits, and with other choices of form."""
     data = {name: value for name, value in effect.model_dump().items() if name != "kind"} | choices
     for name, value in values.items():

@@ -75,7 +75,7 @@ class Effect(BaseModel):
         raise NotImplementedError(f"effect {type(self).__name__} does nothing: override apply()")
 
     @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, float]:
+    def read_off(cls, observation: Observation) -> dict[str, Any]:
         """Parameters that the movie shows directly, so that no fit needs to search for them."""
         return {}
 

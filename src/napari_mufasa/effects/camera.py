@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera import Stack
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import course, seen_step, step_length, step_time
+from napari_mufasa.effects.illumination import course, seen_light, seen_path, seen_step, step_length, step_time
 from napari_mufasa.scene import Scene
 
 if TYPE_CHECKING:
@@ -308,14 +308,15 @@ class BaselineDrift(Effect):
     )
     step_at: float = step_time()
     step_frames: float = step_length()
+    course: tuple[float, ...] = seen_path()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, float]:
-        return seen_step(observation)
+    def read_off(cls, observation: Observation) -> dict[str, Any]:
+        return seen_step(observation) | seen_light(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        path = course(self.form, scene.progress, rng, self.step_at, self.step_frames)
+        path = course(self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
         offset_e = (self.drift_adu * _adu(scene) * path).astype(np.float32)
         scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from napari_mufasa.effects.base import Effect, parameter
 from napari_mufasa.scene import Array, Scene
@@ -14,12 +15,18 @@ if TYPE_CHECKING:
     from napari_mufasa.observe import Observation
 
 STAGE = "illumination"
+TWENTY = 20  # values of a course that is read off
+SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than once in 10⁴
 
 
 def course(
-    form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float = 0.5, step_frames: float = 0.0
-) -> NDArray[np.float64]:
-    """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering."""
+    form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float = 0.5, step_frames: float = 0.0,
+    seen: tuple[float, ...] = (),
+) -> NDArray[np.float64]:  # fmt: skip
+    """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering.
+
+    What wanders follows `seen`, values at equal times, where they are given; else it is a random walk.
+    """
     if form == "linear":
         return progress
     if form == "saturating":
@@ -28,11 +35,34 @@ def course(
         path = progress**2
     elif form == "step":
         path = _step(np.arange(len(progress)), step_at * (len(progress) - 1), step_frames)
+    elif seen:
+        path = np.interp(progress, (np.arange(len(seen)) + 0.5) / len(seen), seen)
     else:
         walk = np.cumsum(rng.standard_normal(len(progress)))
         walk -= walk[0]
         path = walk / max(np.abs(walk).max(), 1e-12)
     return path
+
+
+def seen_path() -> Any:
+    """The field `course` of effects that may wander."""
+    return Field((), description="for the form wandering: values at equal times, 0 first, ±1 at most; () at random")
+
+
+def seen_course(readings: NDArray[np.float64]) -> dict[str, Any]:
+    """`course` from independent readings (reading, time) of it; () where they do not agree that anything changed."""
+    mean = readings.mean(axis=0)
+    noise = readings.var(axis=0, ddof=1).mean() / len(readings)
+    if not np.isfinite(mean).all() or mean.var() < SEEN * noise:
+        return {"course": ()}
+    mean = mean - mean[0]
+    return {"course": tuple((mean / np.abs(mean).max()).round(4).tolist())}
+
+
+def seen_light(observation: Observation) -> dict[str, Any]:
+    """`course` of the background, in twentieths of the movie."""
+    frames = len(observation.course) // TWENTY
+    return seen_course(observation.course[: frames * TWENTY].reshape(TWENTY, frames).T) if frames > 1 else {}
 
 
 def _step(frame: NDArray[Any], at: float, rise: float) -> NDArray[np.float64]:
@@ -162,14 +192,15 @@ class LaserDrift(Effect):
     )
     step_at: float = step_time()
     step_frames: float = step_length()
+    course: tuple[float, ...] = seen_path()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, float]:
-        return seen_step(observation)
+    def read_off(cls, observation: Observation) -> dict[str, Any]:
+        return seen_step(observation) | seen_light(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        change = self.change * course(self.form, scene.progress, rng, self.step_at, self.step_frames)
+        change = self.change * course(self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
         scene.light = np.maximum(scene.light * (1 + change), 0.0)
 
 

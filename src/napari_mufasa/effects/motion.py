@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import course
+from napari_mufasa.effects.illumination import course, seen_course, seen_path
 from napari_mufasa.scene import Scene
 
 if TYPE_CHECKING:
     from napari_mufasa.observe import Observation
 
 STAGE = "sample motion"
+SEEN_PX = 0.3  # a common path that reaches farther is no noise
+FIFTHS = 5
 
 
 class StageDrift(Effect):
@@ -34,17 +37,26 @@ class StageDrift(Effect):
     direction_deg: float = parameter(
         45.0, plausible=(0, 360), unit="deg", description="direction; 0 along x, 90 along y"
     )
+    path: tuple[tuple[float, float], ...] = Field(
+        (), description="for the form wandering: (y, x) at equal times, 0 first, 1 long at most; () at random"
+    )
     form: Literal["linear", "saturating", "wandering"] = "linear"
 
     @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, float]:
-        """The direction is that of the spots' common path."""
-        y, x = observation.spots.path_px[-1]
-        return {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
+    def read_off(cls, observation: Observation) -> dict[str, Any]:
+        """The direction is that of the spots' common path, and a path that stands out from its noise is that path."""
+        seen = observation.spots.path_px
+        y, x = seen[-1]
+        extent = float(np.hypot(*seen.T).max())
+        path = tuple((float(b), float(a)) for b, a in (seen / extent).round(4)) if extent > SEEN_PX else ()
+        return {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360), "path": path}
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
-        if self.form == "wandering":
+        if self.form == "wandering" and self.path:
+            at = (np.arange(len(self.path)) + 0.5) / len(self.path)
+            path = np.stack([np.interp(scene.progress, at, values) for values in zip(*self.path, strict=True)], axis=1)
+        elif self.form == "wandering":
             steps = rng.standard_normal((scene.n_frames, 2))
             path = np.cumsum(steps, axis=0) - steps[0]
             path *= 1 / max(float(np.hypot(*path.T).max()), 1e-12)
@@ -74,11 +86,26 @@ class FocusDrift(Effect):
         log=True,
         description="relative growth of the PSF width",
     )
+    course: tuple[float, ...] = seen_path()
     form: Literal["linear", "accelerating", "step", "wandering"] = "linear"
 
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, Any]:
+        """The course is that of the spots' width, as fifths of the molecules show it."""
+        from napari_mufasa.observe.summary import mean_shape
+
+        spots = observation.spots
+        keep = np.flatnonzero(spots.inside & spots.isolated)
+        blocks = range(spots.shape.shape[1])
+        if len(keep) < 2 * FIFTHS:
+            return {"course": ()}
+        groups = [keep[i::FIFTHS] for i in range(FIFTHS)]
+        return seen_course(np.array([[mean_shape(spots, g, [b])[:2].mean() for b in blocks] for g in groups]))
+
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        path = course(self.form, scene.progress, rng, seen=self.course)
         # Out of focus is wider on either side of it.
-        growth = 1 + self.widening * np.abs(course(self.form, scene.progress, rng))
+        growth = np.maximum(1 + self.widening * (path if self.course else np.abs(path)), 0.2)
         scene.sigma_px = scene.sigma_px * growth[:, None]
 
 

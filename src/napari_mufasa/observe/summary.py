@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -318,7 +319,7 @@ def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> No
     )
 
 
-def mean_shape(spots: Spots, keep: NDArray[np.bool_], blocks: Sequence[int] | NDArray[np.int64]) -> Array:
+def mean_shape(spots: Spots, keep: NDArray[Any], blocks: Sequence[int] | NDArray[np.int64]) -> Array:
     """Mean excess of PSF variance along y, along x, and covariance (3,), px², of these molecules in these blocks."""
     weight = max(float(spots.shape_weight[keep][:, blocks].sum()), 1e-6)
     mean: Array = spots.shape[keep][:, blocks].sum(axis=(0, 1)) / weight

@@ -206,27 +206,29 @@ class MapEdit(QWidget):
         self.edited.emit()
 
 
-class CurveEdit(QLineEdit):
-    """Knots of a curve: `0:0, 200:180, 1000:500`."""
+class ListEdit(QLineEdit):
+    """Numbers, or `0:0, 200:180` pairs of them, separated by commas; nothing: none."""
 
     edited = Signal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, pairs: bool = False, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._shown = ""
+        self._shown, self._pairs = "", pairs
         self.editingFinished.connect(lambda: self.edited.emit() if self.text() != self._shown else None)
 
-    def value(self) -> tuple[tuple[float, float], ...]:
-        knots = []
-        for part in self.text().split(","):
-            into, _, out = part.partition(":")
-            if not out:
-                raise ValueError("give knots as electrons in:electrons out, e.g. 0:0, 200:180")
-            knots.append((float(into), float(out)))
-        return tuple(knots)
+    def value(self) -> tuple[Any, ...]:
+        parts = [part for part in self.text().split(",") if part.strip()]
+        try:
+            pairs = [tuple(float(number) for number in part.split(":")) for part in parts]
+        except ValueError:
+            pairs = [()]
+        if any(len(pair) != 1 + self._pairs for pair in pairs):
+            raise ValueError("give pairs, e.g. 0:0, 200:180" if self._pairs else "give numbers, e.g. 0, 0.5, 1")
+        return tuple(pairs) if self._pairs else tuple(pair[0] for pair in pairs)
 
     def set_value(self, value: Any) -> None:
-        self._shown = ", ".join(f"{a:g}:{b:g}" for a, b in value)
+        pairs = value if self._pairs else [(number,) for number in value]
+        self._shown = ", ".join(":".join(f"{number:g}" for number in pair) for pair in pairs)
         self.setText(self._shown)
         self.setCursorPosition(0)
         self.setStyleSheet("")
@@ -249,7 +251,8 @@ def editor_for(field: FieldInfo) -> Any:
     if kind in (int, float):
         return NumberEdit(whole=kind is int, optional=optional)
     if get_origin(kind) is tuple:
-        return CurveEdit() if get_args(kind)[-1] is Ellipsis else ShapeEdit()
+        first, *_, last = get_args(kind)
+        return ListEdit(pairs=get_origin(first) is tuple) if last is Ellipsis else ShapeEdit()
     if kind is typing.Any:
         return MapEdit()
     raise TypeError(f"no editor for {annotation}")
