@@ -46,6 +46,29 @@ def test_clock_induced_charge_adds_its_electrons_in_the_dark_too():
         assert electrons.mean() == pytest.approx(mean, abs=4 * np.sqrt(mean / electrons.size))
 
 
+def test_charge_born_in_the_register_keeps_its_mean_in_smaller_events():
+    """Born at u of the register, uniform: exponential of mean gain^-u photoelectrons. Moments of the Poisson sum."""
+    model = plain(shape=(40, 40), **{"camera.read_noise_e": 0.0, "camera.clock_induced_charge_e": 0.0})
+    gain = model.camera.em_gain
+    keeps, keeps2 = (1 - 1 / gain) / np.log(gain), (1 - gain**-2.0) / (2 * np.log(gain))
+    variance = 0.4 / keeps * 2 * keeps2
+    added = effect("clock_induced_charge", electrons=0.4, form="in_register")
+    electrons = photoelectrons(simulate_dark(model.with_effects(added), 100, seed=1), model.camera).astype(float)
+    count = model.camera.electrons_per_adu / gain  # one count: its floor is undone by ½ only where there is charge
+    n = electrons.size
+    assert electrons.mean() == pytest.approx(0.4, abs=4 * np.sqrt(variance / n) + count / 2)
+    fourth = np.mean((electrons - electrons.mean()) ** 4)
+    assert electrons.var() == pytest.approx(variance, abs=4 * np.sqrt(fourth / n) + count**2)
+
+
+def test_dull_pixels_are_a_tail_on_one_side():
+    pattern = flat(effect("pixel_gain_variation", rms=0.1, form="dull_pixels"), n_frames=400, shape=(64, 64)) / 20
+    pattern = pattern.mean(axis=0)
+    skewness = ((pattern - pattern.mean()) ** 3).mean() / pattern.std() ** 3
+    # Exponential: −2; its standard error with 4096 pixels is about 0.25; shot noise adds a little width.
+    assert -3.2 < skewness < -1.0
+
+
 @pytest.mark.parametrize("form", ["pixels", "columns"])
 def test_gain_pattern_has_its_rms_and_grows_with_the_light(form):
     added = effect("pixel_gain_variation", rms=0.1, form=form)

@@ -71,7 +71,7 @@ class ClockInducedCharge(Effect):
     stage = STAGE
     strength = "electrons"
     title = "Clock-induced charge"
-    what_it_is = "Clocking the charge makes spurious electrons before the register."
+    what_it_is = "Clocking the charge makes spurious electrons, before the register or on their way through it."
     what_it_does = "Single-electron events appear in every frame, dark ones too."
     how_to_check = "Take dark frames: the tail of bright single pixels is there without light."
     observables = ("dark_mean", "dark_tail")
@@ -84,11 +84,27 @@ class ClockInducedCharge(Effect):
         plausible=(0.003, 0.5),
         unit="e⁻/px/frame",
         log=True,
-        description="spurious electrons added",
+        description="mean spurious charge added, over the gain",
     )
+    form: Literal["before_register", "in_register"] = "before_register"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        scene.sensor.expected.append(lambda e, frames: e + np.float32(self.electrons))
+        gain = max(_gain(scene), 1.0)
+        if self.form == "before_register" or gain == 1.0:
+            scene.sensor.expected.append(lambda e, frames: e + np.float32(self.electrons))
+            return
+        mean = (1 - 1 / gain) / np.log(gain)  # of gain^-u: what an electron born at u of the register's length keeps
+
+        def born(electrons: Stack, frames: Frames) -> Stack:
+            for i, f in enumerate(frames):
+                draw = scene.streams.of("charge in register", int(f))
+                n = draw.poisson(self.electrons / mean * electrons[i].size)
+                charge = draw.standard_exponential(n) * gain ** draw.random(n)
+                where = draw.integers(0, electrons[i].size, n)
+                electrons[i] += np.bincount(where, charge, electrons[i].size).reshape(electrons[i].shape)
+            return electrons
+
+        scene.sensor.amplified.append(born)
 
 
 class PixelGainVariation(Effect):
@@ -112,11 +128,12 @@ class PixelGainVariation(Effect):
         log=True,
         description="relative rms of the response",
     )
-    form: Literal["pixels", "columns"] = "pixels"
+    form: Literal["pixels", "columns", "dull_pixels"] = "pixels"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        shape = scene.shape_px if self.form == "pixels" else (1, scene.shape_px[1])
-        response = np.maximum(1 + self.rms * rng.standard_normal(shape), 0.0).astype(np.float32)
+        shape = (1, scene.shape_px[1]) if self.form == "columns" else scene.shape_px
+        off = 1 - rng.standard_exponential(shape) if self.form == "dull_pixels" else rng.standard_normal(shape)
+        response = np.maximum(1 + self.rms * off, 0.0).astype(np.float32)
         scene.sensor.amplified.append(lambda e, frames: e * response)
 
 
