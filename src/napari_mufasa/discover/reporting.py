@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 OFF = 3.0  # an observable further off than so many standard deviations is called failing
 EXPLAINED = 0.6  # share of the removable error that an explanation must remove
+FAR = 1.5  # an error above so many floors is not explained, however far it fell
 STILL_OFF = 0.001  # chance level of the misfit left under an explanation
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
@@ -70,7 +71,8 @@ def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
         return "unexplained" if inquiry.null.p_misfit(inquiry.state.misfit(inquiry.x)) < MISFIT_ALARM else "adequate"
     share = (errors[0] - errors[-1]) / max(errors[0] - floor, 1e-9)
     left = inquiry.null.p_misfit(inquiry.state.misfit(inquiry.x))
-    return "unexplained" if left < STILL_OFF and share < EXPLAINED else "missing_effect"
+    far = share < EXPLAINED or errors[-1] > FAR * floor
+    return "unexplained" if left < STILL_OFF and far else "missing_effect"
 
 
 def detectable(inquiry: Investigation) -> dict[str, float | None]:
