@@ -94,13 +94,14 @@ def like(layer: Layer) -> dict[str, Any]:
 
 def add_movie(viewer: Viewer, data: Any, name: str, space: dict[str, Any], model: Model | None = None,
               seed: int | None = None, role: str = "", **kwargs: Any) -> Image:  # fmt: skip
-    """A movie as an Image layer; contrast from a few frames, so that lazy data stay lazy."""
+    """A movie as an Image layer; contrast from one frame or a few, so that lazy data stay lazy."""
     ours: dict[str, Any] = {"model": model.to_dict(), "seed": seed} if model is not None else {}
     ours |= {"role": role} if role else {}
     metadata = {METADATA_KEY: ours} if ours else {}
     options = {"colormap": "gray"} | kwargs
     if "contrast_limits" not in options:
-        options["contrast_limits"] = contrast(data)
+        # Of stored results one frame: each may cost a twentieth of a second, and the interface waits.
+        options["contrast_limits"] = contrast(data if isinstance(data, np.ndarray) else data[:1])
     with unpainted(viewer):
         added: Any = viewer.add_image(data, name=name, metadata=metadata, **space, **options)
     return added
