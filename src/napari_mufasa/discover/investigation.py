@@ -36,6 +36,7 @@ FINALISTS, LATER_FINALISTS = (
 )  # leads that are fitted by direct simulation, for the first effect and for further ones
 PROMISING = 0.6  # a lead or form is worth a fit from this share of the evidence that is needed or already had
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
+SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
 CONTESTED = 0.6  # effects with this share of the best evidence are contested: each may show its best form
 CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
@@ -165,8 +166,16 @@ class Investigation:
 
     def convincing(self, best: Candidate) -> bool:
         """Does adding it lower the held-out error, with the evidence that is needed?"""
-        before = self.state.held_out_error(self.x)
-        return best.error_after is not None and best.error_after < before and best.evidence > self.needed()
+        if best.error_after is None or best.evidence <= self.needed():
+            return False
+        return self.improves(self.state, best.error_after, best.evidence)
+
+    def improves(self, on: State, error: float, evidence: float) -> bool:
+        """Is a held-out error better than that of the state `on`? Where that is at its floor no effect can lower it
+        much: sure evidence will do if the error does not rise."""
+        before = on.held_out_error(self.x)
+        sure = before <= AT_FLOOR * on.floor and evidence > self.null.evidence_at(SURE)
+        return error < (NOT_RISEN * before if sure else before)
 
     def rank(self) -> list[Candidate]:
         """What is missing: the leads, the best of them fitted by direct simulation, best first."""
@@ -323,9 +332,9 @@ def diagnose(
         best = inquiry.rank()[0]
         helps = inquiry.convincing(best)
         if helps:
-            before = inquiry.state.held_out_error(inquiry.x)
+            before = inquiry.state
             inquiry.add(best)
-            helps = inquiry.state.held_out_error(inquiry.x) < before  # with more simulations still?
+            helps = inquiry.improves(before, inquiry.state.held_out_error(inquiry.x), best.evidence)  # settled, still?
             if helps:
                 inquiry.simplify()
             else:
