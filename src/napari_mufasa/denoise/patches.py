@@ -11,6 +11,7 @@ known functions, its derivative is measured by disturbing the data a little alon
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 import numpy as np
 from numba import njit
@@ -281,10 +282,12 @@ def judge(data: Array, noise: Noise, first_pass: Callable[[Array], Array]) -> tu
 
     To first order E[x F(y)] = E[y F(y) - (alpha y + variance) F'(y)]; one disturbed run of both passes measures the
     sum of the derivatives. With alpha y itself the sum scatters, and is too low where there is hardly a count per
-    pixel; with the pilot in its place it is steady and too high there. The way is taken from the mean of both, the
-    risk from the first.
+    pixel; with the pilot in its place it is steady and too high there: the mean of both is taken. The risk of a way
+    on the data that chose it is too low: each quarter of the image is judged with the way that the others choose.
     """
-    signs = np.random.default_rng(0).choice(np.array([-1.0, 1.0], np.float32), data.shape)
+    # Other signs for other data: the chance in them must not be the same for all.
+    rng = np.random.default_rng(crc32(np.ascontiguousarray(data).tobytes()))
+    signs = rng.choice(np.array([-1.0, 1.0], np.float32), data.shape)
     shift = np.float32(PROBE * np.sqrt(max(float(np.mean(noise.alpha * data + noise.variance)), 1e-30)))
 
     def change(y: Array, pilot: Array) -> Array:
@@ -294,11 +297,21 @@ def judge(data: Array, noise: Noise, first_pass: Callable[[Array], Array]) -> tu
     disturbed = data + shift * signs
     here = change(data, pilot)
     slope = (change(disturbed, first_pass(disturbed)) - here) * signs / float(shift)
-    size = float(np.mean(here * here))
-    known = np.maximum(pilot, np.float32(0.0))
-    steady, plain = (
-        float(np.mean((data - pilot) * here - (noise.alpha * level + noise.variance) * slope))
-        for level in (known, data)
-    )
-    way = min(max(0.5 * (steady + plain) / max(size, 1e-30), 0.0), 1.0)
-    return way, way * (way * size - 2.0 * plain), here
+    level = noise.alpha * 0.5 * (np.maximum(pilot, np.float32(0.0)) + data) + noise.variance
+    gain = _quarters((data - pilot) * here - level * slope)
+    size = _quarters(here * here)
+
+    def best(gains: float, sizes: float) -> float:
+        return min(max(gains / max(sizes, 1e-30), 0.0), 1.0)
+
+    added = 0.0
+    for g, n in zip(gain, size, strict=True):
+        way = best(float(gain.sum() - g), float(size.sum() - n))
+        added += way * (way * n - 2.0 * g)
+    return best(float(gain.sum()), float(size.sum())), added / data.size, here
+
+
+def _quarters(a: Array) -> NDArray[np.float64]:
+    """Sums over the four quarters of an image."""
+    rows, cols = a.shape[0] // 2, a.shape[1] // 2
+    return np.add.reduceat(np.add.reduceat(a, [0, rows], axis=0), [0, cols], axis=1).ravel().astype(np.float64)

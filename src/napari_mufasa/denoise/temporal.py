@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 import numpy as np
 
@@ -41,19 +42,19 @@ class Sight:
     past: Side | None = None
     future: Side | None = None
 
-    def guides(self, trust: float, frame: Array | None = None) -> Guides:
+    def guides(self, trust: float | None, frame: Array | None = None) -> Guides:
         """The mean of the adjacent frames, and past and future as far as the scene stood still.
 
-        ``trust`` 1: next to a change the frame (or the one given) says which of the two counts.
+        ``trust`` 1: next to a change the frame (or the one given) says which of the two counts; None: no guides.
         """
-        if self.past is None and self.future is None:
+        if trust is None or (self.past is None and self.future is None):
             return NO_GUIDES
         seen = self.frame if frame is None else frame
         still, relative = shown(seen, self.past, self.future, self.noise, trust)
         mean = self.beside[0] if len(self.beside) == 1 else np.float32(0.5) * (self.beside[0] + self.beside[1])
         return [mean, still], np.array([1.0 / len(self.beside), relative], np.float32)
 
-    def system(self, depth: int, trust: float) -> let.System:
+    def system(self, depth: int, trust: float | None) -> let.System:
         """Its risk system."""
         return let.expand(self.frame, self.noise, depth, False, *self.guides(trust))[0]
 
@@ -65,7 +66,8 @@ class Sight:
         """
         y, noise = self.frame, self.noise
         spread = np.sqrt(max(float(np.mean(noise.alpha * y + noise.variance)), 1e-30))
-        signs = np.random.default_rng(0).choice(np.array([-PROBE, PROBE], np.float32), y.shape) * np.float32(spread)
+        rng = np.random.default_rng(crc32(np.ascontiguousarray(y).tobytes()))
+        signs = rng.choice(np.array([-PROBE, PROBE], np.float32), y.shape) * np.float32(spread)
 
         def both(frame: Array) -> tuple[Array, Array]:
             trusting, not_trusting = (
@@ -94,34 +96,42 @@ def sights(data: Array, first: int, stop: int, noise: let.Noise, neighbours: int
 
 @dataclass(frozen=True)
 class Learnt:
-    """A movie's weights, none where it cannot be improved; estimated risk with them and without."""
+    """A movie's weights, none where it cannot be improved; estimated risk with them and without.
+
+    ``trust`` says whether frames choose between their past and future; None: neither is looked at.
+    """
 
     weights: Array | None
-    trust: float
+    trust: float | None
     risk: float
     untouched: float
 
 
 def learn(seen: list[Sight], depth: int, each: Callable[..., Iterable[Any]] = map) -> Learnt:
-    """Weights of least risk pooled over windows, and whether frames choose between their past and future.
+    """Weights of least risk pooled over windows, and what frames make of their past and future.
 
-    They do unless that is estimated to cost: where everything moves, each frame would choose its own noise. ``each``
-    maps a function over the windows.
+    They choose between the two unless that is estimated to cost: where everything moves, each would choose its own
+    noise. Where past and future tell hardly anything of the frame, and so only add to what weights can be fitted to by
+    chance, they are left out. ``each`` maps a function over the windows.
     """
     seen = [one for one in seen if one.noise.alpha > 0 or np.any(one.noise.variance)]
     if depth == 0 or not seen:
         return Learnt(None, 1.0, 0.0, 0.0)
 
-    def weighed(trust: float) -> Learnt:
+    def weighed(trust: float | None) -> Learnt:
         weights, risk, untouched = let.learn(list(each(lambda one: one.system(depth, trust), seen)))
         return Learnt(weights if risk < untouched else None, trust, risk, untouched)
 
-    trusting = weighed(1.0)
-    if trusting.weights is None or all(one.past is None or one.future is None for one in seen):
-        return trusting
-    costs = np.array(list(each(lambda one: one.cost_of_trust(trusting.weights, depth), seen)))
-    # In doubt, two standard errors, they do choose.
-    return weighed(0.0) if costs.mean() > 2.0 * costs.std() / np.sqrt(max(len(costs) - 1, 1)) else trusting
+    if all(one.past is None and one.future is None for one in seen):
+        return weighed(None)
+    best = weighed(1.0)
+    if best.weights is not None and any(one.past is not None and one.future is not None for one in seen):
+        costs = np.array(list(each(lambda one: one.cost_of_trust(best.weights, depth), seen)))
+        # In doubt, two standard errors, they do choose.
+        if costs.mean() > 2.0 * costs.std() / np.sqrt(max(len(costs) - 1, 1)):
+            best = weighed(0.0)
+    alone = weighed(None)
+    return alone if alone.risk < best.risk else best
 
 
 def pure_let_movie(
