@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 OFF = 3.0  # an observable further off than so many standard deviations is called failing
 EXPLAINED = 0.6  # share of the removable error that an explanation must remove
-FAR = 1.5  # an error above so many floors is not explained, however far it fell
+FAR = 1.35  # an error above so many floors is not explained, however far it fell
 STILL_OFF = 0.001  # chance level of the misfit left under an explanation
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
