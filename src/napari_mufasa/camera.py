@@ -6,10 +6,8 @@ sensor has none.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,7 +64,8 @@ def expose(
         expected = hook(expected, frames)
     # 2 multiplication or conversion
     excess = multiplication_noise(camera) if hooks.excess_noise_factor is None else hooks.excess_noise_factor
-    detect, read_out = _kernels()
+    from napari_mufasa.camera_kernels import detect, read_out
+
     numbers = np.ascontiguousarray(frames, dtype=np.int64)
     electrons = detect(np.ascontiguousarray(expected, np.float32), excess, numbers, streams.key("detection"))
     electrons = cmos_response(electrons, camera) if camera.type == "CMOS" else electrons * np.float32(_gain(camera))
@@ -159,74 +158,6 @@ def _gain_map(camera: Camera) -> Any:
 
 def _gain(camera: Camera) -> Any:
     return float(camera.em_gain or 1.0) * _gain_map(camera)
-
-
-@cache
-def _kernels() -> tuple[Any, Any]:
-    """Shot noise with multiplication, and read noise, per pixel; compiled on first use."""
-    import numba
-
-    from napari_mufasa.variates import (
-        electrons_after_gain,
-        gamma,
-        normal_quantile,
-        poisson,
-        poisson_row,
-        stream,
-        uniform,
-        uniforms,
-    )
-
-    @numba.njit(cache=True, nogil=True, error_model="numpy")
-    def detect(expected, excess, frames, key):  # type: ignore[no-untyped-def]
-        """Photoelectrons times their multiplication noise of mean 1: an excess noise factor F² = 1 + 1/k makes
-        n electrons Gamma(shape k·n, scale 1/k); no electron in, none out."""
-        n_frames, height, width = expected.shape
-        result = np.empty(expected.shape, dtype=np.float32)
-        shape = 1.0 / (excess - 1.0) if excess > 1.0 else 0.0
-        u, v, mean, p, below, counts = (np.empty(width), np.empty(width), np.empty(width), np.empty(width),
-                                        np.empty(width), np.empty(width))  # fmt: skip
-        for f in range(n_frames):
-            for y in range(height):
-                # The row at once up to twice its mean, the few brighter pixels one by one.
-                total = 0.0
-                for x in range(width):
-                    total += max(expected[f, y, x], 0.0)
-                bright = min(2.0 * total / width + 2.0, 29.9)
-                top = 0.0
-                for x in range(width):
-                    mean[x] = max(expected[f, y, x], 0.0) if expected[f, y, x] <= bright else 0.0
-                    top = max(top, mean[x])
-                uniforms(key, frames[f], y * width, 1, u)
-                poisson_row(mean, u, int(top + 8.0 * math.sqrt(top) + 9.0), p, below, counts)
-                if shape == 1.0:
-                    uniforms(key, frames[f], y * width, 2, v)
-                for x in range(width):
-                    n = np.int64(counts[x])
-                    if expected[f, y, x] > bright:
-                        n, state = poisson(expected[f, y, x], stream(key, frames[f], y * width + x))
-                        if n > 0 and shape == 1.0:
-                            v[x], state = uniform(state)
-                    if n == 0 or shape == 0.0:
-                        result[f, y, x] = n
-                    elif shape == 1.0:
-                        result[f, y, x] = electrons_after_gain(n, normal_quantile(v[x]))
-                    else:
-                        amplified, state = gamma(shape * n, stream(key + np.uint64(1), frames[f], y * width + x))
-                        result[f, y, x] = amplified / shape
-        return result
-
-    @numba.njit(cache=True, nogil=True, error_model="numpy")
-    def read_out(electrons, sigma, mean, frames, key):  # type: ignore[no-untyped-def]
-        n_frames, height, width = electrons.shape
-        u = np.empty(width)
-        for f in range(n_frames):
-            for y in range(height):
-                uniforms(key, frames[f], y * width, 1, u)
-                for x in range(width):
-                    electrons[f, y, x] += mean + sigma[y, x] * normal_quantile(u[x])
-
-    return detect, read_out
 
 
 def _check_maps(movie: NDArray[Any], camera: Camera) -> None:
