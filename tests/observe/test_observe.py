@@ -6,7 +6,7 @@ import pytest
 import napari_mufasa as nm
 from napari_mufasa.effects.illumination import IlluminationProfile
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
-from napari_mufasa.observe import PARTS, checkerboard, observe
+from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
 from napari_mufasa.observe.summary import OnStates, _gap_lengths, _slope
 from napari_mufasa.observe.table import Table
 
@@ -98,3 +98,11 @@ def test_the_bright_side_is_read_off(added):
     model = small(**{"acquisition.shape_px": (96, 96)})
     seen = added.read_off(observe(nm.simulate(model.with_effects(added), seed=4).movie, model))["direction_deg"]
     assert abs((seen - 200.0 + 180) % 360 - 180) < 15
+
+
+def test_a_spot_on_the_edge_is_no_background():
+    model = small(**{"acquisition.shape_px": (96, 96)})
+    places = np.array([[95.45, 40.0], [30.0, -0.45], [30.0, 60.0]])
+    spots = observe(nm.simulate(model, places, seed=5).movie, model).spots
+    near = _near_spots((96, 96), spots, 5.0)
+    assert near[95, 40] and near[92, 40] and near[30, 0] and not near[60, 20]

@@ -125,11 +125,11 @@ def _counts(movie: NDArray[Any]) -> NDArray[np.uint16]:
 
 
 def _near_spots(shape: tuple[int, ...], spots: Spots, reach_px: float) -> NDArray[np.bool_]:
-    far = np.ones(shape, dtype=bool)
+    far, last = np.ones(shape, dtype=bool), np.array(shape) - 1
     for step in spots.path_px:
         at = np.rint(spots.positions_px + step).astype(int)
-        inside = np.all((at >= 0) & (at < shape), axis=1)
-        far[tuple(at[inside].T)] = False
+        beside = np.all((at > -reach_px) & (at < last + reach_px), axis=1)  # a spot beyond the edge lights pixels, too
+        far[tuple(np.clip(at[beside], 0, last).T)] = False
     if far.all():
         return np.zeros(shape, dtype=bool)
     result: NDArray[np.bool_] = ndimage.distance_transform_edt(far) < reach_px
