@@ -68,8 +68,8 @@ UNDER_A_LIMIT = """
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits on a process's data are Linux's")
 def test_a_movie_larger_than_memory_streams(tmp_path):
-    # 1600 frames of 160 x 160: 164 MB as float32 and as much again for the result, denoised with 120 MB to spare (80 are
-    # too few). The frames repeat, so that the file is quickly made.
+    # 1600 frames of 160 x 160: 164 MB as float32 and as much again for the result, denoised with 120 MB to spare (80
+    # are too few). The frames repeat, so that the file is quickly made.
     frames, side, limit = 1600, 160, 120 * 2**20
     rng = np.random.default_rng(2)
     part = record(np.full((32, side, side), 3.0), EMCCD, rng)
