@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_emission
-from napari_mufasa.effects.illumination import seen_course, seen_step
+from napari_mufasa.effects.illumination import seen_course, seen_light, seen_step
 
 from .helpers import ccd, effect, plain, scene_of
 
@@ -225,3 +225,18 @@ def test_a_course_is_seen_where_readings_agree_and_only_there():
     seen = np.array(seen_course(walk + rng.standard_normal((15, 20)))["course"])
     assert np.corrcoef(seen, walk)[0, 1] > 0.97 and seen[0] == 0 and np.abs(seen).max() == 1
     assert seen_course(rng.standard_normal((15, 20)))["course"] == ()
+
+
+def test_slow_light_has_a_course_and_flicker_has_none():
+    """97 % of random walks and 1.5 % of 1/f noise of 300 frames are seen (1000 draws); bounds at 4 sd for 200 each."""
+    rng = np.random.default_rng(3)
+    f = np.fft.rfftfreq(300)
+    f[0] = f[1]
+
+    def seen(light):
+        return len(seen_light(types.SimpleNamespace(course=10 + 0.01 * light))["course"]) == 60
+
+    walks = [seen(np.cumsum(rng.standard_normal(300))) for _ in range(200)]
+    pink = [seen(np.fft.irfft(np.fft.rfft(rng.standard_normal(300)) / np.sqrt(f), 300)) for _ in range(200)]
+    white = [seen(rng.standard_normal(300)) for _ in range(200)]
+    assert np.mean(walks) > 0.92 and np.mean(pink) < 0.05 and not any(white)

@@ -329,7 +329,8 @@ def diagnose(
     inquiry.examine()
     told: list[Candidate] = []  # the ranking a reader wants is that of the base model
     while len(inquiry.chosen) < max_effects and inquiry.leads() and inquiry.alarmed():
-        best = inquiry.rank()[0]
+        ranking = inquiry.rank()
+        best = next(filter(inquiry.convincing, ranking), ranking[0])
         helps = inquiry.convincing(best)
         if helps:
             before = inquiry.state

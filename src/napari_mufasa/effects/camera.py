@@ -334,7 +334,9 @@ class BaselineDrift(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         path = course(self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
-        offset_e = (self.drift_adu * _adu(scene) * path).astype(np.float32)
+        # A course that was seen has its sign.
+        drift_adu = abs(self.drift_adu) if self.form == "wandering" and self.course else self.drift_adu
+        offset_e = (drift_adu * _adu(scene) * path).astype(np.float32)
         scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
 
 
