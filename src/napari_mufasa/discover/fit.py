@@ -86,9 +86,12 @@ def refine(library: Library, state: State, starts: Effect | Sequence[Effect], x:
 
 
 def refine_if_promising(
-    library: Library, state: State, starts: Effect | Sequence[Effect], x: Array, to_beat: float
+    library: Library, state: State, starts: Effect | Sequence[Effect], x: Array, to_beat: float, promised: float = 0.0
 ) -> Fit | None:
-    """As `refine`; None where the best start promises far less evidence than `to_beat`."""
+    """As `refine`; None where the best start gives, and the lead `promised`, far less evidence than `to_beat`.
+
+    One simulation of an effect that is chance itself (flicker) explains less than its law does: hence the lead's word.
+    """
     starts = [starts] if isinstance(starts, Effect) else starts
     seen = starts[0].read_off(library.bench.measured)
     starts = [changed(start, seen) for start in starts]
@@ -96,7 +99,7 @@ def refine_if_promising(
     coordinates = [c for c in Coordinate.of(start, state.model) if c.name not in seen]
     n = len(coordinates)
     climbed, gain = _climbed(library, state, _best_shape(library, state, starts, coordinates, x), x)
-    if to_beat > 0 and gain < HOPELESS * to_beat:
+    if to_beat > 0 and max(gain, promised) < HOPELESS * to_beat:
         return None
     local = replace(
         state,

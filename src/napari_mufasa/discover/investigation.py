@@ -262,8 +262,8 @@ class Investigation:
         self.bench.plan(len(finalists) * fit.planned_simulations())
         for kind in finalists:
             to_beat = max(map(self._evidence, self._tried.values()), default=0.0)
-            starts = [lead.start() for lead in leads[kind]]
-            tried = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat)
+            starts, promised = [lead.start() for lead in leads[kind]], leads[kind][0].gain
+            tried = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
             if tried is not None:
                 self._tried[kind] = tried
         contested = self._within(CONTESTED)
