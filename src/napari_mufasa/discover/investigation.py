@@ -38,6 +38,7 @@ PROMISING = 0.6  # a lead or form is worth a fit from this share of the evidence
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
 SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
 CONTESTED = 0.6  # effects with this share of the best evidence are contested: each may show its best form
+FORM_WORTH = 0.2  # another form is fitted from this share of the evidence
 CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
@@ -220,11 +221,12 @@ class Investigation:
             return found
         rays = {found.effect.kind: self.library.rays[found.effect.kind]}
         leads = self.state.screen(self.x, rays)[found.effect.kind]
-        worth = PROMISING * leads[0].gain
-        others = [e.start() for e in leads if e.gain > worth and e.ray.effect.form_name != found.effect.form_name]
+        # A form that is chance itself (a walk, pink noise) promises far less by one simulation than it holds.
+        worth = FORM_WORTH * leads[0].gain
+        others = [lead for lead in leads if lead.gain > worth and lead.ray.effect.form_name != found.effect.form_name]
         self.bench.plan(len(others) * fit.planned_simulations())
-        had = self._evidence(found)
-        tries = [fit.refine_if_promising(self.library, self.state, other, self.x, had) for other in others]
+        least = FORM_WORTH / fit.HOPELESS * self._evidence(found)
+        tries = [fit.refine_if_promising(self.library, self.state, lead.start(), self.x, least) for lead in others]
         return min([found, *filter(None, tries)], key=lambda f: f.score)
 
     def simplify(self) -> None:
