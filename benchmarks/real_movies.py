@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import napari_mufasa as nm
 from napari_mufasa import html_report, io
 from napari_mufasa.compare import compare_movie
@@ -37,9 +39,8 @@ def movies() -> Iterator[tuple[str, Any, nm.Model, Any, dict[str, Any]]]:
 def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
     """One movie's section, as Markdown."""
     line, fall = verdict_text(report)
-    minutes, megavoxels = report.seconds / 60, size
-    rows = [f"## {name}", "", f"{megavoxels}. **{line}** {fall} ({minutes:.1f} min on two cores.)", ""]
-    rows += ["| model | error | | fitted |", "|---|---|---|---|"]
+    rows = [f"## {name}", "", f"{size}. **{line}** {fall} ({report.seconds / 60:.1f} min on two cores.)", ""]
+    rows += ["| model | error | fitted |", "|---|---|---|"]
     candidates = {c.effect: c for c in report.ranking}
     for step in report.history:
         kind = step.get("added")
@@ -50,8 +51,8 @@ def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
                 f"{key} {number(value, sd.get(key)) if isinstance(value, float) else value}"
                 for key, value in values.items()
             )
-        rows.append(f"| {effect_title(kind) if kind else 'believed'} | {step['error']:.2f} | | {fitted} |")
-    rows += [f"| floor | {report.error['floor']:.2f} | | |", ""]
+        rows.append(f"| {effect_title(kind) if kind else 'believed'} | {step['error']:.2f} | {fitted} |")
+    rows += [f"| floor | {report.error['floor']:.2f} | |", ""]
     near = [f"{effect_title(c.effect)} (evidence {c.evidence:.0f})" for c in report.ranking[:5]]
     rows += [f"Ranking at the first step: {'; '.join(near)}.", ""]
     rows += [*distances, ""]
@@ -68,8 +69,8 @@ def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[st
     except nm.MufasaError as error:
         return f"W1, {what}: not to be had ({error})"
     w1 = found.w1
-    value = w1["mufasa"]
-    return f"W1, {what}: {value:.3g} {w1['unit']} (floor {w1['floor']:.3g})"
+    floor = f"floor {w1['floor']:.3g}" if np.isfinite(w1["floor"]) else "too few molecules for a floor"
+    return f"W1, {what}: {w1['mufasa']:.3g} {w1['unit']} ({floor})"
 
 
 def main() -> None:
