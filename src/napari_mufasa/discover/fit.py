@@ -250,9 +250,9 @@ def _uncertainty(state: State, n_effect: int, misfit: float, effect: Effect) -> 
     excess = max(1.0, misfit / state.mean.shape[1])
     # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter.
     scatter = np.std([state.profiled(row).moves[n:] for row in state.check], axis=0, ddof=1)
-    for_all = np.maximum(np.sqrt(np.diag(covariance)[n:] * excess), scatter)
+    widths = np.maximum(np.sqrt(np.diag(covariance)[n:] * excess), scatter)
     named = {}
-    for path, sd in zip(state.free[n:], for_all, strict=True):
+    for path, sd in zip(state.free[n:], widths, strict=True):
         coordinate = next(c for c in Coordinate.of(effect, state.model) if f"{effect.kind}.{c.name}" == path)
         by_noise, by_simulation = (
             coordinate.sd(effect, float(sd)),

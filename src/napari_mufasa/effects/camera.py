@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera import Stack
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import course, seen_light, seen_path, seen_step, step_length, step_time
+from napari_mufasa.effects.illumination import drifted, seen_light, seen_path, seen_step, step_length, step_time
 from napari_mufasa.scene import Scene
 
 if TYPE_CHECKING:
@@ -333,10 +333,8 @@ class BaselineDrift(Effect):
         return seen_step(observation) | seen_light(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        path = course(self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
-        # A course that was seen has its sign.
-        drift_adu = abs(self.drift_adu) if self.form == "wandering" and self.course else self.drift_adu
-        offset_e = (drift_adu * _adu(scene) * path).astype(np.float32)
+        drift_adu = drifted(self.drift_adu, self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
+        offset_e = (drift_adu * _adu(scene)).astype(np.float32)
         scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
 
 

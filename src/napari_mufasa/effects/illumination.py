@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 STAGE = "illumination"
 VALUES, FEWEST = 60, 5  # most values of a course that is read off, and frames for each: a walk is a walk, not flicker
 SLOW = 0.36  # mean square of a course's steps over its variance: of random walks 97 % have less, of 1/f noise 1.5 %
-SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than once in 10⁴
+SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴
 
 
 def course(
@@ -45,9 +45,22 @@ def course(
     return path
 
 
+def drifted(
+    size: float, form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float, step_frames: float,
+    seen: tuple[float, ...],
+) -> NDArray[np.float64]:  # fmt: skip
+    """`size` times the course of what drifts; a course that was seen brings its own sign."""
+    path = course(form, progress, rng, step_at, step_frames, seen)
+    return path * (abs(size) if form == "wandering" and seen else size)
+
+
 def seen_path() -> Any:
     """The field `course` of effects that may wander."""
-    return Field((), description="for the form wandering: values at equal times, 0 first, ±1 at most; () at random")
+    return Field(
+        (),
+        description="for the form wandering: values at equal times, 0 first, ±1 at most, "
+        "with the sign of the change; () at random",
+    )
 
 
 def seen_course(readings: NDArray[np.float64]) -> dict[str, Any]:
@@ -207,9 +220,7 @@ class LaserDrift(Effect):
         return seen_step(observation) | seen_light(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        path = course(self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
-        # A course that was seen has its sign.
-        change = path * (abs(self.change) if self.form == "wandering" and self.course else self.change)
+        change = drifted(self.change, self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
         scene.light = np.maximum(scene.light * (1 + change), 0.0)
 
 
