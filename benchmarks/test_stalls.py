@@ -13,6 +13,7 @@ needs to make and to remove layers. STALL_PARTS (first,small,large), STALL_SHAPE
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import threading
@@ -42,6 +43,9 @@ class Heart:
         self.worst: dict[str, tuple[float, float]] = {}  # gap, and what the interface itself worked in it
         self.late: dict[str, Counter[str]] = {}
         self.doing = ""
+        self.collecting: dict[str, float] = {}  # the longest garbage collection, in whatever thread
+        self._collection = 0.0
+        gc.callbacks.append(self._collect)
         self._last, self._cpu = time.perf_counter(), time.thread_time()
         self._main = threading.main_thread().ident
         self._stop = threading.Event()
@@ -57,6 +61,12 @@ class Heart:
         if self.doing and now - self._last > self.worst.get(self.doing, (0.0, 0.0))[0]:
             self.worst[self.doing] = now - self._last, cpu - self._cpu
         self._last, self._cpu = now, cpu
+
+    def _collect(self, phase: str, _info: dict[str, int]) -> None:
+        now = time.perf_counter()
+        if phase == "stop" and self.doing:
+            self.collecting[self.doing] = max(self.collecting.get(self.doing, 0.0), now - self._collection)
+        self._collection = now
 
     def _watch(self) -> None:
         while not self._stop.wait(0.02):
@@ -80,10 +90,12 @@ class Heart:
         self.doing = ""
         gap, cpu = self.worst.get(what, (0.0, 0.0))
         took = time.perf_counter() - start
-        print(f"{1000 * gap:6.0f} {1000 * cpu:12.0f} {took:8.1f}  {what}", flush=True)
+        garbage = self.collecting.get(what, 0.0)
+        print(f"{1000 * gap:6.0f} {1000 * cpu:12.0f} {1000 * garbage:10.0f} {took:8.1f}  {what}", flush=True)
 
     def stop(self) -> None:
         self._timer.stop()
+        gc.callbacks.remove(self._collect)
         self._stop.set()
 
 
@@ -137,7 +149,7 @@ def test_interface_never_stands_still(make_napari_viewer, movies, tmp_path_facto
     viewer.window.resize(1500, 950)
     _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
     heart = Heart()
-    print(f"\n{'ms':>6} {'of own work':>12} {'took s':>8}  worst gap of the interface")
+    print(f"\n{'ms':>6} {'of own work':>12} {'collection':>10} {'took s':>8}  worst gap of the interface")
     slow_cancels: list[str] = []
     try:
         for prefix in PARTS:

@@ -108,7 +108,7 @@ class DataPanel(Panel):
             with unpainted(self.viewer):
                 added.append(self.viewer.add_layer(layer))
             if options.get("visible", True):
-                yield from shown_later(layer)
+                yield from shown_later(self.viewer, layer)
             yield
         self._take(next(layer for layer in added if stored(layer, "role") != "dark frames"))
         self.viewer.dims.set_point(0, 0)

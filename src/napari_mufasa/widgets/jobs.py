@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import queue
 import threading
 from collections.abc import Callable, Generator
@@ -106,6 +107,7 @@ class RunBar(QWidget):
         self._breath.timeout.connect(self._go_on)
         self._done: Callable[[Any], Any] | None = None
         self._outcome: Outcome | None = None
+        self.destroyed.connect(gc.unfreeze)
         self._show_running(False)
 
     @property
@@ -130,6 +132,7 @@ class RunBar(QWidget):
         worker.finished.connect(self._on_finished)
         # A closed dock must not leave work behind.
         self.destroyed.connect(worker.quit)
+        gc.freeze()
         self.say(f"{title} …")
         self._show_running(True)
         worker.start()

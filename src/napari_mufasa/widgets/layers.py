@@ -153,11 +153,30 @@ def room_for(viewer: Viewer, shape: tuple[int, ...], scale: Any = None) -> Gener
     yield
 
 
-def shown_later(layer: Layer) -> Generator[None, None, None]:
-    """Draw a layer that was added hidden, once the window has drawn what came with it."""
+def shown_later(viewer: Viewer, layer: Layer) -> Generator[None, None, None]:
+    """Draw a layer that was added hidden, once the window has drawn what came with it, and its parts in turns.
+
+    The first picture of a part builds its shader: the two kinds of markers of a Points layer in one picture take
+    longer than anything else that the interface does.
+    """
     yield
+    parts = _drawn_parts(viewer, layer)
+    for part in parts:
+        part.visible = False
     layer.visible = True
+    for part in parts:
+        part.visible = True
+        yield
     yield
+
+
+def _drawn_parts(viewer: Viewer, layer: Layer) -> list[Any]:
+    """What vispy draws of a layer; nothing when there is no window or napari keeps it elsewhere."""
+    with contextlib.suppress(AttributeError, KeyError):
+        window: Any = viewer.window._qt_viewer
+        node = window.canvas.layer_to_visual[layer].node
+        return [part for part in node._subvisuals if part.visible]
+    return []
 
 
 def resolution_um(layer: Layer) -> float | None:

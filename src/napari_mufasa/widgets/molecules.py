@@ -135,7 +135,7 @@ class MoleculesPanel(Panel):
         points.mouse_drag_callbacks.append(self._on_click)
         self.save_button.setEnabled(True)
         self.plot.clear()
-        yield from shown_later(points)
+        yield from shown_later(self.viewer, points)
         points.mode = "select"  # napari refuses it to a hidden layer
         self.session.set_result("traces", traces)
 

@@ -5,6 +5,7 @@ Every panel works alone; a value set in one is the value of all others, because 
 
 from __future__ import annotations
 
+import gc
 import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -55,6 +56,7 @@ class Session(QObject):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__()
         self._viewer = weakref.ref(viewer)
+        viewer.layers.events.removed.connect(lambda _event: gc.unfreeze())  # set aside by a run, see `RunBar`
         self._model: Model | None = None
         self.model_origin = ""
         self._movie: weakref.ref[Image] | None = None
