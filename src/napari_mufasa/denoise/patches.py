@@ -10,6 +10,7 @@ known functions, its derivative is measured by disturbing the data a little alon
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
@@ -31,6 +32,8 @@ GROUP = 16
 REACH = 9
 #: Distance between reference patches.
 STEP = 4
+#: Parts of the image that are filtered at the same time; always as many, so that results do not depend on the machine.
+PARTS = 2
 #: Disturbance of the data that measures the derivative, in noise standard deviations.
 PROBE = 0.1
 #: Patches that differ by more than this many noise variances per pixel are not alike.
@@ -187,11 +190,15 @@ def _weakened(data: Array, guess: Array) -> Any:
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def _filtered(z: Array, pilot: Array, window: Array, basis: Array, step: int) -> Array:
-    """White data ``z`` filtered group by group; ``pilot`` in the same units."""
+def _filtered(z: Array, pilot: Array, window: Array, basis: Array, step: int, begin: int, end: int) -> Array:
+    """White data ``z`` filtered group by group; ``pilot`` in the same units.
+
+    Returns two planes: the weighted sum of all filtered patches of the reference rows ``begin`` … ``end`` - 1, and of
+    their weights.
+    """
     rows, cols = z.shape
-    total = np.zeros((rows, cols), np.float32)
-    weight = np.zeros((rows, cols), np.float32)
+    sums = np.zeros((2, rows, cols), np.float32)
+    total, weight = sums
     columns = np.minimum(np.arange(-(-(cols - SIDE) // step) + 1) * step, cols - SIDE)
     places = np.zeros((len(columns), GROUP, 2), np.int64)
     far = np.zeros((len(columns), GROUP), np.float32)
@@ -202,7 +209,7 @@ def _filtered(z: Array, pilot: Array, window: Array, basis: Array, step: int) ->
     work = np.empty((GROUP, AREA), np.float32)
     block, half = np.empty(AREA, np.float32), np.empty(AREA, np.float32)
     back = basis.reshape(SIDE, SIDE).T.copy().reshape(AREA)
-    for ri in range(-(-(rows - SIDE) // step) + 1):
+    for ri in range(begin, end):
         _nearest(pilot, min(ri * step, rows - SIDE), columns, places, far, found, line)
         for m in range(len(columns)):
             n = 1
@@ -225,10 +232,7 @@ def _filtered(z: Array, pilot: Array, window: Array, basis: Array, step: int) ->
                         w = share * window[a, b]
                         total[i + a, j + b] += w * block[a * SIDE + b]
                         weight[i + a, j + b] += w
-    for r in range(rows):
-        for c in range(cols):
-            total[r, c] /= weight[r, c]
-    return total
+    return sums
 
 
 def _window() -> NDArray[np.float32]:
@@ -248,8 +252,15 @@ def collaborate(data: Array, pilot: Array, noise: Noise, step: int = STEP) -> Ar
     known = 2.0 / alpha * stable + (pilot - lifted) / stable if alpha > 0 else pilot / stable
     known = np.ascontiguousarray(known, np.float32)
     white = np.ascontiguousarray(known + (data - pilot) / level, np.float32)
-    out: Array = pilot + level * (_filtered(white, known, WINDOW, COSINES.ravel(), step) - known)
-    return out
+    references = -(-(data.shape[0] - SIDE) // step) + 1
+
+    def rows(part: int) -> Array:
+        begin, end = part * references // PARTS, (part + 1) * references // PARTS
+        return np.asarray(_filtered(white, known, WINDOW, COSINES.ravel(), step, begin, end))
+
+    with ThreadPoolExecutor(PARTS) as pool:
+        total, weight = sum(pool.map(rows, range(PARTS)))
+    return np.asarray(pilot + level * (total / weight - known))
 
 
 def refined(data: Array, pilot: Array, noise: Noise) -> Array:
