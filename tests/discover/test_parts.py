@@ -5,7 +5,8 @@ import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.discover import metric, nuisance
-from napari_mufasa.discover.library import Ray, State, changed, ray_settings, scaled
+from napari_mufasa.discover.coordinates import changed
+from napari_mufasa.discover.library import Ray, State, ray_settings, scaled
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.null import Null
 from napari_mufasa.effects import catalogue, effect_class

@@ -259,7 +259,7 @@ def collaborate(data: Array, pilot: Array, noise: Noise, step: int = STEP) -> Ar
         return np.asarray(_filtered(white, known, WINDOW, COSINES.ravel(), step, begin, end))
 
     with ThreadPoolExecutor(PARTS) as pool:
-        total, weight = sum(pool.map(rows, range(PARTS)))
+        total, weight = np.sum(list(pool.map(rows, range(PARTS))), axis=0)
     return np.asarray(pilot + level * (total / weight - known))
 
 

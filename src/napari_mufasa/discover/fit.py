@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, Ray, State, changed, scaled, trusted
+from napari_mufasa.discover.coordinates import Coordinate, changed, moved
+from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, Ray, State, scaled, trusted
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.effects import Effect
-from napari_mufasa.model import Model
 
 Array = NDArray[np.float64]
 LADDER = 2.2  # factor between the strengths tried first
@@ -29,37 +28,6 @@ HOPELESS = 0.5  # a start with less than this share of the evidence to beat is n
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
 SETTLING_SIMULATIONS = 20  # further simulations of an effect that enters the model
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
-
-
-@dataclass(frozen=True)
-class Coordinate:
-    """A parameter of an effect as a free coordinate."""
-
-    name: str
-    log: bool
-    unit: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, effect: Effect, model: Model) -> list[Coordinate]:
-        """Shapes stay in their plausible range, for beyond it the effect is another; strengths may leave it."""
-        found = []
-        for name, (low, high, log) in type(effect).plausible(model).items():
-            unit = 1.0 if log else (high - low) / 4
-            if name == effect.strength:
-                low, high = (low / 10, high * 4) if log else (low - (high - low), high + (high - low))
-            found.append(cls(name, log, unit, low, high))
-        return found
-
-    def moved(self, effect: Effect, by: float) -> float:
-        value = float(getattr(effect, self.name))
-        new = value * float(np.exp(by)) if self.log else value + by * self.unit
-        return float(np.clip(new, self.low, self.high))
-
-    def sd(self, effect: Effect, sd: float) -> float:
-        """A standard deviation of the coordinate in the parameter's own unit."""
-        return sd * (abs(float(getattr(effect, self.name))) if self.log else self.unit)
 
 
 @dataclass(frozen=True)
@@ -175,17 +143,6 @@ def _linearised(
         slopes=np.concatenate([state.slopes, slopes], axis=2),
         prior=np.concatenate([state.prior, np.full(n, 2.5 * width)]),
     )
-
-
-def moved(model: Model, values: list[nuisance.Nuisance], free: tuple[str, ...], moves: Array) -> Model:
-    """The model with its free values moved: nuisance values first, then parameters of effects."""
-    effects = {effect.kind: effect for effect in model.effects}
-    model = nuisance.apply(model, values, moves[: len(values)])
-    for path, by in zip(free[len(values) :], moves[len(values) :], strict=True):
-        kind, name = path.split(".")
-        coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
-        effects[kind] = changed(effects[kind], {name: coordinate.moved(effects[kind], float(by))})
-    return model.model_copy(update={"effects": tuple(effects.values())})
 
 
 def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:

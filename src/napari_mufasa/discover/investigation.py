@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import fit, library
 from napari_mufasa.discover.bench import Bench
+from napari_mufasa.discover.coordinates import moved
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.library import Lead, Library, State
 from napari_mufasa.discover.measurement import prepare
@@ -41,7 +43,16 @@ CONTESTED = 0.6  # effects with this share of the best evidence are contested: e
 FORM_WORTH = 0.2  # another form is fitted from this share of the evidence
 CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
+FAR_OFF = 2.5  # an error of so many floors after an effect was added asks for a neighbourhood of its own
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
+
+
+@dataclass(frozen=True)
+class View:
+    """Where an investigation stands, and the simulated neighbourhood from which it is seen."""
+
+    library: Library
+    state: State
 
 
 class Investigation:
@@ -86,9 +97,10 @@ class Investigation:
                 "fewer than three molecules were found in the movie: check psf_fwhm_nm, pixel_size_nm and baseline_adu "
                 "in the model, or take a brighter region"
             )
-        self._library: Library | None = None
         self._null: Null | None = None
+        self.views: list[View] = []  # of the base model, then after each effect
         self.fits: list[Fit] = []
+        self._gained: list[float] = []  # evidence that each of them brought
         self.ranking: list[Candidate] = []
         self._tried: dict[str, Fit] = {}
         self._formed: set[str] = set()  # of those, the ones tried in all promising forms
@@ -97,22 +109,31 @@ class Investigation:
     # What is known ------------------------------------------------------------------------------------------
 
     @property
-    def library(self) -> Library:
-        if self._library is None:
+    def view(self) -> View:
+        if not self.views:
             self.examine()
-        assert self._library is not None
-        return self._library
+        return self.views[-1]
 
     @property
-    def null(self) -> Null:
-        if self._null is None:
-            self._null = Null.of(*self.library.null_distribution())
-        return self._null
+    def library(self) -> Library:
+        """The simulated neighbourhood of the model as it stands."""
+        return self.view.library
 
     @property
     def state(self) -> State:
         """The model as it stands: the base, or the last fit."""
-        return self.fits[-1].state if self.fits else self.library.base
+        return self.view.state
+
+    @property
+    def base(self) -> State:
+        """The model believed, its nuisance values near the measurement."""
+        return (self.views or [self.view])[0].state
+
+    @property
+    def null(self) -> Null:
+        if self._null is None:
+            self._null = Null.of(*(self.views or [self.view])[0].library.null_distribution())
+        return self._null
 
     @property
     def x(self) -> Array:
@@ -126,12 +147,17 @@ class Investigation:
     def model(self) -> Model:
         """The model as it stands, its free values at their best."""
         state = self.state
-        return fit.moved(state.model, self.library.nuisances, state.free, state.profiled(self.x).moves)
+        return moved(state.model, self.library.nuisances, state.free, state.profiled(self.x).moves)
 
     @property
     def explained(self) -> float:
         """Evidence of the effects in the model, together."""
-        return self.library.base.score(self.x) - self.state.score(self.x)
+        return sum(self._gained)
+
+    @property
+    def far_off(self) -> bool:
+        """Is the model, with what was added, still so wrong that the first neighbourhood says little about it?"""
+        return bool(self.fits) and self.state.held_out_error(self.x) > FAR_OFF * self.state.floor
 
     # Steps --------------------------------------------------------------------------------------------------
 
@@ -140,7 +166,18 @@ class Investigation:
         start = self.measurement.model
         simulations = library.expected_simulations(self.kinds, len(nuisances(start)))
         self.bench.plan(simulations + FINALISTS * fit.planned_simulations())
-        self._library = library.build(self.bench, library.matched(self.bench, start), self.kinds)
+        near = library.build(self.bench, library.matched(self.bench, start), self.kinds)
+        self.views = [View(near, near.base)]
+
+    def approach(self) -> None:
+        """Where the model is still far off: simulate the neighbourhood anew around it, its nuisance values matched."""
+        if not self.far_off or self.state is not self.fits[-1].state:
+            return
+        model, kinds = self.model, [kind for kind in self.kinds if kind not in self.chosen]
+        self.bench.plan(library.expected_simulations(kinds, len(self.state.free)))
+        near = library.build(self.bench, library.matched(self.bench, model), kinds)
+        if near.base.held_out_error(self.x) < self.state.held_out_error(self.x):
+            self.views[-1] = View(near, near.base)
 
     def leads(self) -> dict[str, list[Lead]]:
         """What every effect not yet in the model promises in each of its forms, by the emulator; best first."""
@@ -162,7 +199,7 @@ class Investigation:
         """Is the model inadequate beyond chance, or a further effect worth a fit?"""
         lead = max((forms[0].gain for forms in self.leads().values()), default=0.0)
         if self.fits:
-            return lead > PROMISING * self.needed()
+            return self.far_off or lead > PROMISING * self.needed()
         return lead > self.needed() or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
 
     def convincing(self, best: Candidate) -> bool:
@@ -180,8 +217,9 @@ class Investigation:
 
     def rank(self) -> list[Candidate]:
         """What is missing: the leads, the best of them fitted by direct simulation, best first."""
-        leads = self.leads()
         self._tried = {}
+        self.approach()
+        leads = self.leads()
         self._fit_the_best(leads)
         if not self.fits:
             self._alone = dict(self._tried)
@@ -202,6 +240,8 @@ class Investigation:
         _known(kind)
         if kind in self.chosen:
             raise MufasaError(f"{kind} is already in the model: undo it first, or add another effect")
+        if kind not in self._tried:
+            self.approach()
         if isinstance(what, Effect):
             found = fit.refine(self.library, self.state, what, self.x)
         else:
@@ -212,8 +252,7 @@ class Investigation:
         others = [c for c in self.ranking if c.effect != kind]
         place = next((i for i, c in enumerate(self.ranking) if c.effect == kind), len(others))
         self.ranking = [*others[:place], self._candidate(found, near), *others[place:]]
-        self.fits.append(found)
-        self._tried, self._formed = {}, set()
+        self._keep(found)
 
     def _best_form(self, found: Fit) -> Fit:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""
@@ -234,24 +273,35 @@ class Investigation:
         pick can be wrong."""
         if len(self.fits) != 2 or (alone := self._alone.get(self.chosen[1])) is None:
             return
+        if self.library is not self.views[0].library:  # seen from elsewhere: not comparable
+            return
         bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence_at(SECOND))
         if alone.score < bar + self.null.evidence_at(SECOND):
             alone = fit.settle(self.library, alone, self.x)
             if alone.score < bar:
-                self.fits = []
+                self.undo()
+                self.undo()
                 self._rank_first(self._candidate(alone, ()))
-                self.fits = [alone]
+                self._keep(alone)
 
     def undo(self) -> None:
         """Take the last effect out again."""
         if not self.fits:
             raise MufasaError("nothing to undo: no effect was added")
         self.fits.pop()
+        self._gained.pop()
+        self.views.pop()
         self._tried, self._formed = {}, set()
 
     def report(self, verdict: Verdict | None = None) -> Report:
         """What has been found so far."""
         return compile_report(self, verdict)
+
+    def _keep(self, found: Fit) -> None:
+        self._gained.append(self._evidence(found))
+        self.fits.append(found)
+        self.views.append(View(self.library, found.state))
+        self._tried, self._formed = {}, set()
 
     def _rank_first(self, candidate: Candidate) -> None:
         self.ranking = [candidate, *(c for c in self.ranking if c.effect != candidate.effect)]

@@ -7,7 +7,7 @@ fit (`fit.refine`) decides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args, get_origin
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.bench import Bench, as_table
+from napari_mufasa.discover.coordinates import Coordinate, changed, moved
 from napari_mufasa.discover.metric import (
     SOFT,
     Profile,
@@ -36,6 +37,7 @@ CHECK_SEED = 5_000
 MATCHING_SEED = 10_000
 MATCHING_ROUNDS = 4
 SLOPE_SEEDS = 3
+PARAMETER_STEP, PARAMETER_PRIOR = 0.2, 0.5  # of effects in the model, in log units or quarters of the range
 RAYS = 4  # settings of each effect, plus one for each shape parameter
 SCALES = (0.12, 0.25, 0.45, 0.7, 1.0, 1.4)
 
@@ -179,14 +181,24 @@ def matched(bench: Bench, model: Model) -> Model:
 
 
 def build(bench: Bench, model: Model, kinds: Sequence[str]) -> Library:
-    """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect."""
+    """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks.
+
+    Free are its nuisance values and the parameters of the effects it has.
+    """
     values = nuisance.nuisances(model)
+    parameters = [
+        f"{effect.kind}.{c.name}"
+        for effect in model.effects
+        for c in Coordinate.of(effect, model)
+        if c.name not in effect.read_off(bench.measured)
+    ]
+    free = (*(n.path for n in values), *parameters)
+    prior = np.array([n.prior for n in values] + [PARAMETER_PRIOR] * len(parameters))
+    steps = [n.step for n in values] + [PARAMETER_STEP] * len(parameters)
     rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    slopes = _slopes(bench, model, values, rows)
-    prior = np.array([n.prior for n in values])
+    slopes = _slopes(bench, lambda by: moved(model, values, free, by), steps, rows)
     blank = np.zeros(rows.shape[1:])
-    free = tuple(n.path for n in values)
     bare = State(model, blank, blank, slopes, prior, blank, check, free, spread_floor(bench.names))
     base = _with_noise_of(bare, rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
@@ -206,19 +218,14 @@ def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict
     return rays
 
 
-def _slopes(bench: Bench, model: Model, values: list[nuisance.Nuisance], base: Array) -> Array:
-    """Derivatives of the observables (part, observable, nuisance), by differences of paired simulations."""
-    jobs, steps = [], []
-    for j, value in enumerate(values):
-        step = value.step if j % 2 else -value.step
-        by = np.zeros(len(values))
-        by[j] = step
-        jobs += [(nuisance.apply(model, values, by), k) for k in range(SLOPE_SEEDS)]
-        steps.append(step)
-    rows = bench.rows(jobs).reshape(len(values), SLOPE_SEEDS, *base.shape[1:])
+def _slopes(bench: Bench, model_at: Callable[[Array], Model], steps: list[float], base: Array) -> Array:
+    """Derivatives of the observables (part, observable, free value), by differences of paired simulations."""
+    signed = np.diag([step if j % 2 else -step for j, step in enumerate(steps)])
+    jobs = [(model_at(by), k) for by in signed for k in range(SLOPE_SEEDS)]
+    rows = bench.rows(jobs).reshape(len(steps), SLOPE_SEEDS, *base.shape[1:])
     change = rows - base[:SLOPE_SEEDS]
     mean, variance = change.mean(axis=1), change.var(axis=1, ddof=1) / SLOPE_SEEDS
-    return np.moveaxis(mean * trusted(mean, variance) / np.array(steps)[:, None, None], 0, -1)
+    return np.moveaxis(mean * trusted(mean, variance) / signed.diagonal()[:, None, None], 0, -1)
 
 
 def trusted(derivative: Array, variance: Array) -> Array:
@@ -253,19 +260,6 @@ def scaled(effect: Effect, scale: float) -> Effect:
     """The effect with its strength moved to `scale` of the way from none."""
     name, null = effect.strength, effect.null_value
     return changed(effect, {name: null + (float(getattr(effect, name)) - null) * scale})
-
-
-def changed(effect: Effect, values: dict[str, Any], **choices: str) -> Effect:
-    """The effect with parameters changed, kept within their hard limits, and with other choices of form."""
-    data = {name: value for name, value in effect.model_dump().items() if name != "kind"} | choices
-    for name, value in values.items():
-        for limit in type(effect).model_fields[name].metadata:
-            low = getattr(limit, "ge", getattr(limit, "gt", None))
-            high = getattr(limit, "le", None)
-            value = value if low is None else max(value, float(low) + (1e-9 if hasattr(limit, "gt") else 0.0))
-            value = value if high is None else min(value, float(high))
-        data[name] = value
-    return type(effect)(**data)
 
 
 def expected_simulations(kinds: Sequence[str], n_free: int) -> int:

@@ -25,16 +25,15 @@ CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
 def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Report:
     """Everything a report holds, from the investigation as it stands."""
-    library, x = inquiry.library, inquiry.x
-    states = [library.base, *(f.state for f in inquiry.fits)]
-    final = states[-1]
+    base, x, final = inquiry.base, inquiry.x, inquiry.state
+    states = [view.state for view in inquiry.views]
     errors = [state.held_out_error(x) for state in states]
     floor = final.floor
     history: list[dict[str, Any]] = [{"model": "base", "error": errors[0]}]
     history += [{"added": kind, "error": error} for kind, error in zip(inquiry.chosen, errors[1:], strict=True)]
     table = _table(inquiry, final)
     numbers = range(CURVE_SEED, CURVE_SEED + CURVE_SIMULATIONS)
-    before = inquiry.bench.observations([(library.base.model, k) for k in numbers])
+    before = inquiry.bench.observations([(base.model, k) for k in numbers])
     after = inquiry.bench.observations([(inquiry.model, k) for k in numbers]) if inquiry.chosen else before
     interval = inquiry.believed.acquisition.interval_s
     verdict = verdict or judge(inquiry, errors, floor)
@@ -46,7 +45,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         chosen=inquiry.chosen,
         history=history,
         model=_restored(inquiry.model, inquiry.believed),
-        base=_restored(library.base.model, inquiry.believed),
+        base=_restored(base.model, inquiry.believed),
         observables=table,
         curves=draw(inquiry.bench.measured, before, after, interval),
         seconds=inquiry.seconds,
@@ -77,7 +76,7 @@ def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
 
 def detectable(inquiry: Investigation) -> dict[str, float | None]:
     """The smallest strength of each effect that this data would have shown with 80 % power, by the emulator."""
-    state, null = inquiry.library.base, inquiry.null
+    state, null = inquiry.state, inquiry.null
     threshold = null.evidence_at(ALARM)
     w, spread = state.whiten[0], state.spread[0]
     slope = np.vstack([w @ (state.slopes[0] / spread[:, None]), np.diag(1 / state.prior)])
@@ -98,7 +97,7 @@ def detectable(inquiry: Investigation) -> dict[str, float | None]:
 
 def _table(inquiry: Investigation, final: State) -> pd.DataFrame:
     """One row per observable: measured, models, z-scores, free values at their best."""
-    measured, base = inquiry.bench.measured, inquiry.library.base
+    measured, base = inquiry.bench.measured, inquiry.base
     rows = []
     means, scores = [], []
     for state in (base, final):

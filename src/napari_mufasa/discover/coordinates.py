@@ -1,0 +1,75 @@
+"""What a diagnosis may move: nuisance values of the model, and the parameters of its effects, as free coordinates.
+
+A coordinate's path is that of a nuisance value ("camera.baseline_adu") or "effect.parameter"; in every list the
+nuisance values come first. 0 is where the model stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.discover import nuisance
+from napari_mufasa.effects import Effect
+from napari_mufasa.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A parameter of an effect as a free coordinate."""
+
+    name: str
+    log: bool
+    unit: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, effect: Effect, model: Model) -> list[Coordinate]:
+        """Shapes stay in their plausible range, for beyond it the effect is another; strengths may leave it."""
+        found = []
+        for name, (low, high, log) in type(effect).plausible(model).items():
+            unit = 1.0 if log else (high - low) / 4
+            if name == effect.strength:
+                low, high = (low / 10, high * 4) if log else (low - (high - low), high + (high - low))
+            found.append(cls(name, log, unit, low, high))
+        return found
+
+    def moved(self, effect: Effect, by: float) -> float:
+        value = float(getattr(effect, self.name))
+        new = value * float(np.exp(by)) if self.log else value + by * self.unit
+        return float(np.clip(new, self.low, self.high))
+
+    def sd(self, effect: Effect, sd: float) -> float:
+        """A standard deviation of the coordinate in the parameter's own unit."""
+        return sd * (abs(float(getattr(effect, self.name))) if self.log else self.unit)
+
+
+def moved(model: Model, values: list[nuisance.Nuisance], free: Sequence[str], moves: Array) -> Model:
+    """The model with its free values moved: nuisance values first, then parameters of effects."""
+    effects = {effect.kind: effect for effect in model.effects}
+    model = nuisance.apply(model, values, moves[: len(values)])
+    for path, by in zip(free[len(values) :], moves[len(values) :], strict=True):
+        kind, name = path.split(".")
+        coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
+        effects[kind] = changed(effects[kind], {name: coordinate.moved(effects[kind], float(by))})
+    return model.model_copy(update={"effects": tuple(effects.values())})
+
+
+def changed(effect: Effect, values: dict[str, Any], **choices: str) -> Effect:
+    """The effect with parameters changed, kept within their hard limits, and with other choices of form."""
+    data = {name: value for name, value in effect.model_dump().items() if name != "kind"} | choices
+    for name, value in values.items():
+        for limit in type(effect).model_fields[name].metadata:
+            low = getattr(limit, "ge", getattr(limit, "gt", None))
+            high = getattr(limit, "le", None)
+            value = value if low is None else max(value, float(low) + (1e-9 if hasattr(limit, "gt") else 0.0))
+            value = value if high is None else min(value, float(high))
+        data[name] = value
+    return type(effect)(**data)
