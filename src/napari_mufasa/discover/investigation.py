@@ -176,8 +176,7 @@ class Investigation:
         model, kinds = self.model, [kind for kind in self.kinds if kind not in self.chosen]
         self.bench.plan(library.expected_simulations(kinds, len(self.state.free)))
         near = library.build(self.bench, library.matched(self.bench, model), kinds)
-        if near.base.held_out_error(self.x) < self.state.held_out_error(self.x):
-            self.views[-1] = View(near, near.base)
+        self.views[-1] = View(near, near.base)
 
     def leads(self) -> dict[str, list[Lead]]:
         """What every effect not yet in the model promises in each of its forms, by the emulator; best first."""
@@ -256,7 +255,8 @@ class Investigation:
 
     def _best_form(self, found: Fit) -> Fit:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""
-        if self.null.p_misfit(found.misfit) > FORM_MISFIT:
+        at_floor = found.state.held_out_error(self.x) <= AT_FLOOR * found.state.floor
+        if at_floor and self.null.p_misfit(found.misfit) > FORM_MISFIT:
             return found
         rays = {found.effect.kind: self.library.rays[found.effect.kind]}
         leads = self.state.screen(self.x, rays)[found.effect.kind]
