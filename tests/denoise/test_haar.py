@@ -9,13 +9,12 @@ from napari_mufasa.denoise import haar
 
 
 def _round_trip(image, levels, flat):
-    planes, shapes, a = [], [], image
+    planes, a = [], image
     for level in range(levels):
-        shapes.append(a.shape)
         a, details = haar.analyse(a, 2**level, flat)
         planes.append(details)
     for level in reversed(range(levels)):
-        a = haar.synthesise(a, planes[level], 2**level, flat, shapes[level])
+        a = haar.synthesise(a, planes[level], 2**level, flat)
     return a
 
 

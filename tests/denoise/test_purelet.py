@@ -7,10 +7,10 @@ import pytest
 from benchmarks.denoise_risk import honest_ratio
 from benchmarks.scenes import photograph
 
-from napari_mufasa.denoise import fused, let, pure_let, pure_let_traces
+from napari_mufasa.denoise import fused, pure_let, pure_let_traces
+from napari_mufasa.denoise.expansion import Guides, apply, expand
+from napari_mufasa.denoise.noise import Noise
 from napari_mufasa.errors import MufasaError
-
-NONE = np.zeros(0, np.float32)
 
 
 def scene(side=72):
@@ -38,12 +38,12 @@ def test_risk_estimate_is_unbiased_for_fixed_weights(peak, kind, sigma):
     rng = np.random.default_rng(peak)
     x = scene() * peak
     multiplied = kind == "multiplied"
-    noise = let.Noise(2.0 if multiplied else 1.0, np.float32(sigma**2), multiplied)
+    noise = Noise(2.0 if multiplied else 1.0, np.float32(sigma**2), multiplied)
     weights = None
     difference, naive = [], []
     for _ in range(60):
         y = observe(x, rng, kind, sigma)
-        system, planes = let.expand(y, noise, 3, False, [], NONE)
+        system, planes = expand(y, noise, 3, False)
         if weights is None:
             weights = system.solve()
             continue
@@ -60,12 +60,12 @@ def test_guides_keep_the_risk_unbiased():
     # As above; the neighbour shows a shifted scene with its own noise.
     rng = np.random.default_rng(3)
     x = scene() * 5
-    noise = let.Noise(1.0, np.float32(0.25))
+    noise = Noise(1.0, np.float32(0.25))
     weights, difference = None, []
     for _ in range(60):
         y = observe(x, rng, "poisson", 0.5)
         guide = observe(np.roll(x, 2, axis=1), rng, "poisson", 0.5)
-        system, planes = let.expand(y, noise, 3, False, [guide], np.ones(1, np.float32))
+        system, planes = expand(y, noise, 3, False, Guides([guide], np.ones(1, np.float32)))
         if weights is None:
             weights = system.solve()
             continue
@@ -77,7 +77,7 @@ def test_guides_keep_the_risk_unbiased():
 def test_least_squares_weights_minimise_the_estimated_risk():
     rng = np.random.default_rng(0)
     y = observe(scene() * 8, rng, "poisson", 0.0)
-    system, _ = let.expand(y, let.Noise(1.0, np.float32(0)), 3, False, [], NONE)
+    system, _ = expand(y, Noise(1.0, np.float32(0)), 3, False)
     best = system.solve(doubt=0.0)
     lowest = system.risk(best)
     for _ in range(50):
@@ -92,11 +92,11 @@ def test_applied_estimator_is_the_one_whose_risk_was_estimated(shape, levels, n_
     rng = np.random.default_rng(0)
     x = np.resize(scene(61), shape) * 6
     y, *guides = (observe(x, rng, "poisson", 0.0) for _ in range(1 + n_guides))
-    noise = let.Noise(1.0, rng.uniform(0, 2, shape).astype(np.float32) if mapped else np.float32(0.3))
-    relative = np.array([1.0, 0.3], np.float32)[:n_guides]
-    system, planes = let.expand(y, noise, levels, False, guides, relative)
+    noise = Noise(1.0, rng.uniform(0, 2, shape).astype(np.float32) if mapped else np.float32(0.3))
+    seen = Guides(guides, np.array([1.0, 0.3], np.float32)[:n_guides])
+    system, planes = expand(y, noise, levels, False, seen)
     weights = rng.normal(0, 0.2, system.cross.size)
-    direct = let.apply(y, noise, levels, False, guides, relative, weights)
+    direct = apply(y, noise, levels, False, weights, seen)
     combined = planes[0] + weights.astype(np.float32) @ planes[1:]
     np.testing.assert_allclose(direct.ravel(), combined, atol=2e-4)
 
@@ -247,7 +247,7 @@ def test_the_second_pass_is_linear_in_the_data_at_the_pilot():
 
     rng = np.random.default_rng(14)
     pilot = np.full((64, 64), 0.2, np.float32)
-    noise = let.Noise(1.0, np.float32(0.0))
+    noise = Noise(1.0, np.float32(0.0))
     runs = [patches.refined(rng.poisson(pilot).astype(np.float32), pilot, noise) for _ in range(12)]
     assert abs(np.mean(runs) - 0.2) < 0.01
     assert np.mean((np.mean(runs, axis=0) - 0.2) ** 2) < 0.01

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from napari_mufasa.denoise import let, pure_let_movie, still, temporal
+from napari_mufasa.denoise import pure_let_movie, still, temporal
+from napari_mufasa.denoise.expansion import apply
+from napari_mufasa.denoise.noise import Noise
+from napari_mufasa.denoise.risk import choose_weights
 
-NOISE = let.Noise(1.0, np.float32(0.25))
+NOISE = Noise(1.0, np.float32(0.25))
 
 
 def seen(data, noise=NOISE, most=24):
@@ -127,12 +130,12 @@ def test_the_cost_of_the_choice_between_past_and_future_is_told_without_bias():
         truth += 15.0 * on[:, None, None] * spot
     data = recorded(truth, rng)
     seen = [sight for t in range(4, 36, 2) for _, sight in temporal.sights(data, t, t + 1, NOISE, 24)]
-    weights, *_ = let.learn([sight.system(3, 1.0) for sight in seen])
+    weights, *_ = choose_weights([sight.system(3, 1.0) for sight in seen])
     told, true = [], []
     for t, sight in zip(range(4, 36, 2), seen, strict=True):
         told.append(sight.cost_of_trust(weights, 3))
         asked, unasked = (
-            np.mean((let.apply(sight.frame, NOISE, 3, False, *sight.guides(trust), weights) - truth[t]) ** 2)
+            np.mean((apply(sight.frame, NOISE, 3, False, weights, sight.guides(trust)) - truth[t]) ** 2)
             for trust in (1.0, 0.0)
         )
         true.append(asked - unasked)

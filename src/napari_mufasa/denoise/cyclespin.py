@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import haar, let
+from . import haar
+from .expansion import Bands
+from .noise import Noise
+from .risk import RiskSystem
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
 SHIFTS = [(0, 0), (2, 2), (0, 2), (2, 0), (1, 1), (3, 3), (1, 3), (3, 1)]
 
 
-def cycle_spin(plane: Array, noise: let.Noise, levels: int) -> tuple[NDArray[np.float32], float]:
+def cycle_spin(plane: Array, noise: Noise, levels: int) -> tuple[NDArray[np.float32], float]:
     """Mean over `SHIFTS` of the decimated estimator; the risk is the mean of theirs, an upper bound of the mean's.
 
     Whole blocks are needed, so the image is continued by reflection; the continuation takes no part in the risk.
@@ -26,7 +29,7 @@ def cycle_spin(plane: Array, noise: let.Noise, levels: int) -> tuple[NDArray[np.
 
     flat = plane.shape[0] == 1
     depth = haar.levels_for(plane.shape[1:] if flat else plane.shape, levels)
-    mean_noise = noise.alpha * float(plane.mean(dtype=np.float64)) + float(np.mean(noise.variance))
+    mean_noise = noise.mean(plane)
     if depth == 0 or mean_noise <= 0:
         return plane, max(mean_noise, 0.0)
     total = np.zeros(plane.shape, np.float64)
@@ -38,7 +41,7 @@ def cycle_spin(plane: Array, noise: let.Noise, levels: int) -> tuple[NDArray[np.
         pad = [(0, 0) if flat else _margins(plane.shape[0], dy, block), _margins(plane.shape[1], dx, block)]
         wide = np.pad(plane, pad, mode="symmetric")
         variance = np.pad(np.broadcast_to(noise.variance, plane.shape), pad, mode="symmetric")
-        estimate, saved = _decimated(wide, let.Noise(noise.alpha, variance, noise.multiplied), depth, flat)
+        estimate, saved = _decimated(wide, Noise(noise.alpha, variance, noise.multiplied), depth, flat)
         inside = tuple(slice(before, before + n) for (before, _), n in zip(pad, plane.shape, strict=True))
         total += estimate[inside]
         risks.append(mean_noise - saved)
@@ -52,7 +55,7 @@ def _margins(n: int, shift: int, block: int) -> tuple[int, int]:
     return shift, (-(n + shift)) % block
 
 
-def _decimated(wide: Array, noise: let.Noise, depth: int, flat: bool) -> tuple[Array, float]:
+def _decimated(wide: Array, noise: Noise, depth: int, flat: bool) -> tuple[Array, float]:
     """One shift: every level has its own least-squares weights; also the estimated risk saved per pixel."""
     signs_all = haar.SIGNS_1D if flat else haar.SIGNS_2D
     low = haar.LOW_1D if flat else haar.LOW_2D
@@ -64,12 +67,12 @@ def _decimated(wide: Array, noise: let.Noise, depth: int, flat: bool) -> tuple[A
         spreads = np.stack([_child(v, k, flat) for k in range(2 if flat else 4)])
         s, block_variance = children.sum(axis=0), spreads.sum(axis=0)
         details = np.einsum("ok,krc->orc", signs_all[:, : len(children)], children)
-        bands = let.Bands(s, details, block_variance, noise, 1, flat, [], np.zeros(0, np.float32))
-        planes = np.stack([candidate[: bands.n] for candidate in bands.candidates()])
+        bands = Bands(s, details, block_variance, noise, 1, flat)
+        planes = np.stack(list(bands.candidates()))
         flattened = planes.reshape(len(planes), -1)
         if flat:
             children, spreads = (np.concatenate([part, np.zeros_like(part)]) for part in (children, spreads))
-        system = let.System(
+        system = RiskSystem(
             gram=(flattened @ flattened.T).astype(np.float64),
             cross=np.asarray(bands.terms(children, spreads)),
             rest=0.0,

@@ -62,22 +62,19 @@ def analyse(a: Array, h: int, flat: bool) -> tuple[Array, Array]:
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def children_sum(a: Array, h: int, signs: Array, flat: bool) -> Array:
-    """Sum over the children of every block that carry a positive sign in ``signs``."""
+def children_sum(a: Array, h: int, flat: bool) -> Array:
+    """Sum over the children of every block."""
     cols = a.shape[1] - h
     rows = a.shape[0] if flat else a.shape[0] - h
     out = np.zeros((rows, cols), a.dtype)
     for r in range(rows):
-        if signs[0] > 0:
-            for c in range(cols):
-                out[r, c] += a[r, c]
-        if signs[1] > 0:
-            for c in range(cols):
-                out[r, c] += a[r, c + h]
-        if signs[2] > 0:
+        for c in range(cols):
+            out[r, c] += a[r, c]
+        for c in range(cols):
+            out[r, c] += a[r, c + h]
+        if not flat:
             for c in range(cols):
                 out[r, c] += a[r + h, c]
-        if signs[3] > 0:
             for c in range(cols):
                 out[r, c] += a[r + h, c + h]
     return out
@@ -98,19 +95,14 @@ def covered(b: Array, h: int, flat: bool) -> Array:
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def spread(band: Array, h: int, signs: Array, flat: bool, out: Array) -> None:
-    """Add ``band`` with its children's signs to ``out`` (the level below), not yet divided by the coverage."""
+def spread(band: Array, h: int, signs: Array, out: Array) -> None:
+    """Add a band of rows with its children's signs to ``out`` (the level below), not yet divided by the coverage."""
     rows, cols = band.shape
     for r in range(rows):
         for c in range(cols):
             out[r, c] += signs[0] * band[r, c]
         for c in range(cols):
             out[r, c + h] += signs[1] * band[r, c]
-        if not flat:
-            for c in range(cols):
-                out[r + h, c] += signs[2] * band[r, c]
-            for c in range(cols):
-                out[r + h, c + h] += signs[3] * band[r, c]
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
@@ -182,23 +174,23 @@ def _lifted(s: Array, h: int, rows: int, cols: int) -> Array:
     return out
 
 
-def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool, shape: tuple[int, ...]) -> Array:
-    """The level below (of ``shape``) from scaling coefficients and detail bands; ``None`` stands for zeros."""
-    if not flat:
-        if bands is None and low is not None:
-            return np.asarray(_lifted(low, h, shape[0], shape[1]))
-        if bands is not None:
-            sums = np.zeros((1, bands.shape[2]), bands.dtype) if low is None else low
-            return np.asarray(_gathered(sums, bands[0], bands[1], bands[2], h, shape[0], shape[1]))
+def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool) -> Array:
+    """The level below from scaling coefficients and detail bands; ``None`` stands for zeros."""
     like = low if low is not None else bands
     assert like is not None
-    out = np.zeros(shape, like.dtype)
+    rows, cols = like.shape[-2] + (0 if flat else h), like.shape[-1] + h
+    if not flat:
+        if bands is None:
+            return np.asarray(_lifted(like, h, rows, cols))
+        sums = np.zeros((1, bands.shape[2]), bands.dtype) if low is None else low
+        return np.asarray(_gathered(sums, bands[0], bands[1], bands[2], h, rows, cols))
+    out = np.zeros((rows, cols), like.dtype)
     if low is not None:
-        spread(low, h, LOW_1D if flat else LOW_2D, flat, out)
+        spread(low, h, LOW_1D, out)
     if bands is not None:
-        for band, signs in zip(bands, SIGNS_1D if flat else SIGNS_2D, strict=True):
-            spread(band, h, signs, flat, out)
-    level_below: Array = covered(out, h, flat)
+        for band, signs in zip(bands, SIGNS_1D, strict=True):
+            spread(band, h, signs, out)
+    level_below: Array = covered(out, h, True)
     return level_below
 
 

@@ -33,6 +33,11 @@ ZERO, ONE, EIGHTH = np.float32(0.0), np.float32(1.0), np.float32(0.125)
 NARROW, WIDE = np.float32(1.0 / CLASS_NARROW), np.float32(1.0 / CLASS_WIDE)
 
 
+def per_level(guides: int) -> int:
+    """Candidates of one level with so many guides: the spatial ones, then those of each guide."""
+    return SPATIAL + PER_GUIDE * guides
+
+
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _class_weight(energy: Any) -> Any:
     """Smoothly 1 where the neighbourhood is empty, 0 where it is full: a cheap stand-in for exp(-energy)."""
@@ -85,7 +90,10 @@ def bumps(d: Array, s: Array, rest: Array, guide: Array, own: float, width: floa
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def linear_terms(d: Array, y: Array, v: Array, step_mean: float, bands: float) -> Array:
-    """Risk terms of the details themselves, per block; ``y`` and ``v`` (child, rows, cols) as in `threshold_terms`."""
+    """Risk terms of the details themselves, per block; ``y`` and ``v`` (child, rows, cols) as in `threshold_terms`.
+
+    ``bands`` 0: details made of other pixels, which have no noise in common with the data.
+    """
     rows, cols = d.shape[1:]
     out = np.empty((rows, cols), d.dtype)
     for r in range(rows):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .let import Noise
+    from .noise import Noise
 
     Array = NDArray[Any]
 

@@ -162,7 +162,7 @@ class _Frames:
 
     def noise(self, electrons: Array, tile: tuple[slice, ...] = ()) -> Any:
         """Noise of one frame of photoelectrons, or a tile of it; the read noise is seen through the gain's slope."""
-        from .let import Noise
+        from .noise import Noise
 
         return Noise(self.alpha, read_variance(electrons, part_of(self.camera, tile)), self.multiplied)
 

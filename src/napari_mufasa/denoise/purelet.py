@@ -9,8 +9,10 @@ import numpy as np
 
 from napari_mufasa.errors import MufasaError
 
-from . import haar, let
+from . import expansion, haar
 from .fused import DEEPEST
+from .noise import Noise
+from .risk import RiskSystem, choose_weights
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -25,8 +27,6 @@ MAX_WINDOWS = 4
 LEVELS = 5
 #: Side of the part of an image on which the second pass is judged.
 JUDGED = 256
-NO_GUIDES: list[Any] = []
-NO_GUIDE_NOISE = np.zeros(0, np.float32)
 
 
 @overload
@@ -111,7 +111,7 @@ def pure_let(
     flat = 1 in plane.shape
     if flat and plane.shape[1] == 1:
         plane, variance = plane.T, variance.T
-    noise = let.Noise(float(alpha), np.ascontiguousarray(variance), multiplied)
+    noise = Noise(float(alpha), np.ascontiguousarray(variance), multiplied)
     if method == "cycle-spinning":
         from .cyclespin import cycle_spin
 
@@ -124,33 +124,32 @@ def pure_let(
     return (final, risk) if return_risk else final
 
 
-def estimate(plane: Array, noise: let.Noise, levels: int, flat: bool) -> tuple[NDArray[np.float32], float]:
+def estimate(plane: Array, noise: Noise, levels: int, flat: bool) -> tuple[NDArray[np.float32], float]:
     """Undecimated PURE-LET of one plane, with the estimated risk."""
     weights, risk = learned(plane, noise, levels, flat)
     return applied(plane, noise, levels, flat, weights), risk
 
 
-def learned(plane: Array, noise: let.Noise, levels: int, flat: bool) -> tuple[Array | None, float]:
+def learned(plane: Array, noise: Noise, levels: int, flat: bool) -> tuple[Array | None, float]:
     """Weights of least estimated risk and that risk; no weights where the plane is best left as it is."""
     tiles = windows(plane.shape, flat)
     spread = np.unique(np.linspace(0, len(tiles) - 1, MAX_WINDOWS).round().astype(int))
     parts = risk_systems(plane, noise, levels, flat, [tiles[k] for k in spread])
     if not parts:
-        mean_noise = noise.alpha * float(plane.mean(dtype=np.float64)) + float(np.mean(noise.variance))
-        return None, max(mean_noise, 0.0)
-    weights, risk, untouched = let.learn(parts)
+        return None, max(noise.mean(plane), 0.0)
+    weights, risk, untouched = choose_weights(parts)
     return (weights, risk) if risk < untouched else (None, max(untouched, 0.0))
 
 
-def applied(plane: Array, noise: let.Noise, levels: int, flat: bool, weights: Array | None) -> NDArray[np.float32]:
+def applied(plane: Array, noise: Noise, levels: int, flat: bool, weights: Array | None) -> NDArray[np.float32]:
     """The plane denoised with given weights."""
     if weights is None:
         return plane
     depth = depth_for(plane.shape, levels, flat)
-    return same_mean(let.apply(plane, noise, depth, flat, NO_GUIDES, NO_GUIDE_NOISE, weights), plane)
+    return same_mean(expansion.apply(plane, noise, depth, flat, weights), plane)
 
 
-def second_pass(plane: Array, noise: let.Noise, levels: int, flat: bool) -> tuple[NDArray[np.float32], float]:
+def second_pass(plane: Array, noise: Noise, levels: int, flat: bool) -> tuple[NDArray[np.float32], float]:
     """`estimate`, then like patches of it filtered together as far as that lowers the estimated risk."""
     from . import patches
 
@@ -182,25 +181,14 @@ def depth_for(shape: tuple[int, ...], levels: int, flat: bool) -> int:
 
 
 def risk_systems(
-    plane: Array,
-    noise: let.Noise,
-    levels: int,
-    flat: bool,
-    tiles: list[tuple[slice, slice]],
-    guides: list[Array] = NO_GUIDES,
-    guide_noise: Array = NO_GUIDE_NOISE,
-) -> list[let.System]:
+    plane: Array, noise: Noise, levels: int, flat: bool, tiles: list[tuple[slice, slice]]
+) -> list[RiskSystem]:
     """The risk system of each window of a plane; none where the plane is too small or free of noise."""
     depth = depth_for(plane.shape, levels, flat)
     if depth == 0 or (noise.alpha == 0 and not np.any(noise.variance)):
         return []
-    variance = np.broadcast_to(noise.variance, plane.shape)
-    parts = []
-    for tile in tiles:
-        inside = let.Noise(noise.alpha, variance[tile], noise.multiplied)
-        seen = [np.ascontiguousarray(guide[tile]) for guide in guides]
-        parts.append(let.expand(np.ascontiguousarray(plane[tile]), inside, depth, flat, seen, guide_noise)[0])
-    return parts
+    cut = ((np.ascontiguousarray(plane[tile]), noise.within(tile)) for tile in tiles)
+    return [expansion.expand(part, inside, depth, flat)[0] for part, inside in cut]
 
 
 def windows(shape: tuple[int, ...], flat: bool) -> list[tuple[slice, slice]]:

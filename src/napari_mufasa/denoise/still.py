@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .let import Noise
+    from .noise import Noise
 
     Array = NDArray[Any]
     #: Mean, number of frames and smoothed mean, each (y, x).

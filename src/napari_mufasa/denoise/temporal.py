@@ -8,8 +8,11 @@ from zlib import crc32
 
 import numpy as np
 
-from . import let
+from . import expansion
+from .expansion import NO_GUIDES, Guides
+from .noise import Noise
 from .purelet import LEVELS, checked, depth_for, estimate, same_mean, windows
+from .risk import RiskSystem, choose_weights
 from .still import past_and_future, shown
 
 if TYPE_CHECKING:
@@ -28,8 +31,6 @@ STRIDE = 7
 NEIGHBOURS = 24
 #: Disturbance of a frame that measures what the choice between past and future costs, in noise standard deviations.
 PROBE = 0.3
-Guides = tuple[list["Array"], "NDArray[np.float32]"]
-NO_GUIDES: Guides = ([], np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Sight:
     """One frame, or a window of it, and what the frames around it show."""
 
     frame: Array
-    noise: let.Noise
+    noise: Noise
     beside: list[Array]
     past: Side | None = None
     future: Side | None = None
@@ -52,11 +53,11 @@ class Sight:
         seen = self.frame if frame is None else frame
         still, relative = shown(seen, self.past, self.future, self.noise, trust)
         mean = self.beside[0] if len(self.beside) == 1 else np.float32(0.5) * (self.beside[0] + self.beside[1])
-        return [mean, still], np.array([1.0 / len(self.beside), relative], np.float32)
+        return Guides([mean, still], np.array([1.0 / len(self.beside), relative], np.float32))
 
-    def system(self, depth: int, trust: float | None) -> let.System:
+    def system(self, depth: int, trust: float | None) -> RiskSystem:
         """Its risk system."""
-        return let.expand(self.frame, self.noise, depth, False, *self.guides(trust))[0]
+        return expansion.expand(self.frame, self.noise, depth, False, self.guides(trust))[0]
 
     def cost_of_trust(self, weights: Array, depth: int) -> float:
         """Estimated risk per pixel with the frame's own choice between past and future, less that without it.
@@ -71,7 +72,7 @@ class Sight:
 
         def both(frame: Array) -> tuple[Array, Array]:
             trusting, not_trusting = (
-                let.apply(frame, noise, depth, False, *self.guides(trust, frame), weights).astype(np.float64)
+                expansion.apply(frame, noise, depth, False, weights, self.guides(trust, frame)).astype(np.float64)
                 for trust in (1.0, 0.0)
             )
             return trusting, not_trusting
@@ -82,7 +83,7 @@ class Sight:
         return float(np.mean(here_1**2 - here_0**2 - 2.0 * gained))
 
 
-def sights(data: Array, first: int, stop: int, noise: let.Noise, neighbours: int) -> Iterator[tuple[int, Sight]]:
+def sights(data: Array, first: int, stop: int, noise: Noise, neighbours: int) -> Iterator[tuple[int, Sight]]:
     """The frames first … stop - 1 of ``data``, which should hold ``neighbours`` more on either side."""
     n = data.shape[0]
     if neighbours <= 0 or n < 2:
@@ -119,7 +120,7 @@ def learn(seen: list[Sight], depth: int, each: Callable[..., Iterable[Any]] = ma
         return Learnt(None, 1.0, 0.0, 0.0)
 
     def weighed(trust: float | None) -> Learnt:
-        weights, risk, untouched = let.learn(list(each(lambda one: one.system(depth, trust), seen)))
+        weights, risk, untouched = choose_weights(list(each(lambda one: one.system(depth, trust), seen)))
         return Learnt(weights if risk < untouched else None, trust, risk, untouched)
 
     if all(one.past is None and one.future is None for one in seen):
@@ -165,7 +166,7 @@ def pure_let_movie(
     float32 (frame, y, x), each frame with the mean of its data.
     """
     data, variance = checked(movie, alpha, sigma, offset, dimensions=(3,))
-    noise = let.Noise(float(alpha), np.broadcast_to(variance, data.shape[1:]), multiplied)
+    noise = Noise(float(alpha), np.broadcast_to(variance, data.shape[1:]), multiplied)
     seen: list[Sight] = []
     chosen = sample_frames(data.shape[0], samples)
     for number, t in enumerate(chosen):
@@ -199,7 +200,7 @@ def apply_frame(sight: Sight, levels: int, learnt: Learnt) -> NDArray[np.float32
         return np.asarray(frame, np.float32)
     depth = depth_for(frame.shape, levels, False)
     guides = sight.guides(learnt.trust)
-    return same_mean(let.apply(frame, sight.noise, depth, False, *guides, learnt.weights), frame)
+    return same_mean(expansion.apply(frame, sight.noise, depth, False, learnt.weights, guides), frame)
 
 
 def pure_let_traces(
@@ -216,6 +217,6 @@ def pure_let_traces(
     Steps are kept: the Haar functions are steps themselves. Parameters as for `pure_let`.
     """
     data, variance = checked(traces, alpha, sigma, offset, dimensions=(2,))
-    noise = let.Noise(float(alpha), np.broadcast_to(variance, data.shape), multiplied)
+    noise = Noise(float(alpha), np.broadcast_to(variance, data.shape), multiplied)
     result, _ = estimate(data, noise, levels, True)
     return result
