@@ -24,6 +24,7 @@ from napari_mufasa.wording import effect_title, number, verdict_text
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"
+MOST = 6  # effects: a real movie lacks more than one
 
 
 def movies() -> Iterator[tuple[str, Any, nm.Model, Any, dict[str, Any]]]:
@@ -82,7 +83,7 @@ def main() -> None:
     for name, movie, model, dark, rules in movies():
         if options.only not in name:
             continue
-        report = nm.diagnose(movie, model, dark)
+        report = nm.diagnose(movie, model, dark, max_effects=MOST)
         folder = ROOT / "build" / "real_movies" / Path(name).stem
         folder.mkdir(parents=True, exist_ok=True)
         shape = " × ".join(str(n) for n in movie.shape)

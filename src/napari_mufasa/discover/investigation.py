@@ -43,7 +43,7 @@ CONTESTED = 0.6  # effects with this share of the best evidence are contested: e
 FORM_WORTH = 0.2  # another form is fitted from this share of the evidence
 CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
 FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
-FAR_OFF = 2.5  # an error of so many floors after an effect was added asks for a neighbourhood of its own
+FAR_OFF = 2.5  # an error of so many floors is far off: several things are missing
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
 
@@ -157,7 +157,10 @@ class Investigation:
     @property
     def far_off(self) -> bool:
         """Is the model, with what was added, still so wrong that the first neighbourhood says little about it?"""
-        return bool(self.fits) and self.state.held_out_error(self.x) > FAR_OFF * self.state.floor
+        return bool(self.fits) and self._far(self.state)
+
+    def _far(self, state: State) -> bool:
+        return state.held_out_error(self.x) > FAR_OFF * state.floor
 
     # Steps --------------------------------------------------------------------------------------------------
 
@@ -318,6 +321,8 @@ class Investigation:
             tried = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
             if tried is not None:
                 self._tried[kind] = tried
+        if all(self._far(tried.state) for tried in self._tried.values()):
+            return  # several things are missing: which comes first matters little
         contested = self._within(CONTESTED)
         if len(contested) > 1:
             self._tried |= {kind: self._best_form(self._tried[kind]) for kind in contested}
