@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import course, seen_course, seen_path
+from napari_mufasa.effects.illumination import course, seen_course, seen_path, step_time
 from napari_mufasa.scene import Scene
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class StageDrift(Effect):
     stage = STAGE
     strength = "distance_px"
     title = "Stage drift"
-    what_it_is = "The sample moves sideways against the objective."
+    what_it_is = "The sample moves sideways against the objective: slowly, or at once when something is bumped."
     what_it_does = "All spots move together."
     how_to_check = "Follow fiducial beads; wait for the temperature to settle."
     observables = ("common_shift", "spot_elongation", "ensemble", "first_seen")
@@ -40,16 +40,22 @@ class StageDrift(Effect):
     path: tuple[tuple[float, float], ...] = Field(
         (), description="for the form wandering: (y, x) at equal times, 0 first, 1 long at most; () at random"
     )
-    form: Literal["linear", "saturating", "wandering"] = "linear"
+    step_at: float = step_time()
+    form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     @classmethod
     def read_off(cls, observation: Observation) -> dict[str, Any]:
-        """The direction is that of the spots' common path, and a path that stands out from its noise is that path."""
+        """The direction is that of the spots' common path, and a path that stands out from its noise is that path.
+
+        A step, if it was one, left the spots displaced for the rest of the movie: their mean displacement times it.
+        """
         seen = observation.spots.path_px
         y, x = seen[-1]
+        along = np.clip(seen @ seen[-1] / max(float(seen[-1] @ seen[-1]), 1e-12), 0, 1)
         extent = float(np.hypot(*seen.T).max())
         path = tuple((float(b), float(a)) for b, a in (seen / extent).round(4)) if extent > SEEN_PX else ()
-        return {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360), "path": path}
+        direction = float(np.rad2deg(np.arctan2(y, x)) % 360)
+        return {"direction_deg": direction, "path": path, "step_at": float(1 - along.mean())}
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
@@ -61,7 +67,8 @@ class StageDrift(Effect):
             path = np.cumsum(steps, axis=0) - steps[0]
             path *= 1 / max(float(np.hypot(*path.T).max()), 1e-12)
         else:
-            path = course(self.form, scene.progress, rng)[:, None] * np.array([np.sin(angle), np.cos(angle)])
+            along = course(self.form, scene.progress, rng, self.step_at)
+            path = along[:, None] * np.array([np.sin(angle), np.cos(angle)])
         scene.shift_px = scene.shift_px + self.distance_px * path
 
 
