@@ -7,6 +7,7 @@ import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.discover import fit
+from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, State, _with_noise_of
 from napari_mufasa.effects import effect_class
 
@@ -89,6 +90,14 @@ def test_what_is_read_off_is_not_fitted(library):
     drift = effect_class("laser_drift")
     assert drift.read_off(library.bench.measured)["step_at"] == pytest.approx(0.3, abs=0.01)
     library.bench.measured = None
+
+
+def test_what_does_not_matter_to_a_form_is_not_free():
+    bleaching, model = effect_class("photobleaching"), nm.preset("FF")
+    free = {form: [c.name for c in Coordinate.of(bleaching(form=form), model)] for form in bleaching.forms()}
+    assert free == {
+        "exponential": ["rate_per_s"], "two_populations": ["rate_per_s", "fast_fraction", "rate_ratio"]
+    }  # fmt: skip
 
 
 def test_a_start_that_cannot_win_is_not_fitted_further(library):

@@ -180,6 +180,15 @@ def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
     assert [effect.kind for effect in session.model.effects] == ["stage_drift"]
     type_into(panel.effects.form.editors["distance_px"], "2.5")
     assert session.model.effects[0].distance_px == 2.5
+
+    def rows():
+        return {n for n, editor in panel.effects.form.editors.items() if editor.isVisibleTo(panel.effects.form)}
+
+    assert rows() == {"distance_px", "direction_deg", "form"}  # what only other forms use is not shown
+    form = panel.effects.form.editors["form"]
+    form.setCurrentText("step")
+    form.activated.emit(form.currentIndex())
+    assert rows() == {"distance_px", "direction_deg", "step_at", "form"}
     from qtpy.QtCore import Qt
 
     panel.effects.list.item(0).setCheckState(Qt.CheckState.Unchecked)

@@ -32,9 +32,12 @@ class Coordinate:
 
     @classmethod
     def of(cls, effect: Effect, model: Model) -> list[Coordinate]:
-        """Shapes stay in their plausible range, for beyond it the effect is another; strengths may leave it."""
+        """Shapes stay in their plausible range, for beyond it the effect is another; strengths may leave it. What does
+        not matter to the effect's form is not free."""
         found = []
         for name, (low, high, log) in type(effect).plausible(model).items():
+            if not effect.matters(name):
+                continue
             unit = 1.0 if log else (high - low) / 4
             if name == effect.strength:
                 low, high = (low / 10, high * 4) if log else (low - (high - low), high + (high - low))

@@ -63,16 +63,15 @@ def refine_if_promising(
     starts = [starts] if isinstance(starts, Effect) else starts
     seen = starts[0].read_off(library.bench.measured)
     starts = [changed(start, seen) for start in starts]
-    start = starts[0]
-    coordinates = [c for c in Coordinate.of(start, state.model) if c.name not in seen]
-    n = len(coordinates)
-    climbed, gain = _climbed(library, state, _best_shape(library, state, starts, coordinates, x), x)
+    climbed, gain = _climbed(library, state, _best_shape(library, state, starts, set(seen), x), x)
     if to_beat > 0 and max(gain, promised) < HOPELESS * to_beat:
         return None
+    coordinates = [c for c in Coordinate.of(climbed, state.model) if c.name not in seen]
+    n = len(coordinates)
     local = replace(
         state,
         model=state.model.with_effects(climbed),
-        free=(*state.free, *(f"{start.kind}.{c.name}" for c in coordinates)),
+        free=(*state.free, *(f"{climbed.kind}.{c.name}" for c in coordinates)),
     )
     width = WIDE
     for turn in range(MOST_ROUNDS):
@@ -86,17 +85,19 @@ def refine_if_promising(
     return judge(library, local, x, n)
 
 
-def _best_shape(
-    library: Library, state: State, starts: Sequence[Effect], coordinates: list[Coordinate], x: Array
-) -> Effect:
-    """What explains most: one of `starts`, or the first in one of a few shapes across the plausible range of each."""
+def _best_shape(library: Library, state: State, starts: Sequence[Effect], known: set[str], x: Array) -> Effect:
+    """What explains most: one of `starts`, or one of them in a few shapes across the plausible range of each shape
+    parameter that is not `known`; each parameter is varied once."""
     trials, start = list(starts), starts[0]
-    plausible = type(start).plausible(state.model)
-    for name in (c.name for c in coordinates if c.name != start.strength):
-        low, high, log = plausible[name]
-        for u in SHAPES:
-            value = low * (high / low) ** u if log else low + (high - low) * u
-            trials.append(changed(start, {name: value}))
+    plausible, known = type(start).plausible(state.model), known | {start.strength}
+    for trial in starts:
+        new = [c.name for c in Coordinate.of(trial, state.model) if c.name not in known]
+        known = known.union(new)
+        for name in new:
+            low, high, log = plausible[name]
+            for u in SHAPES:
+                value = low * (high / low) ** u if log else low + (high - low) * u
+                trials.append(changed(trial, {name: value}))
     if len(trials) == 1:
         return start
     rows = library.bench.rows([(state.model.with_effects(trial), k) for k, trial in enumerate(trials)])

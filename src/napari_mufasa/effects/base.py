@@ -26,11 +26,13 @@ STAGES = ("photophysics", "illumination", "sample motion", "optics and backgroun
 def parameter(
     default: float, *, ge: float | None = None, gt: float | None = None, le: float | None = None,
     plausible: tuple[float, float], unit: str, description: str, log: bool = False, follows: str = "",
+    forms: tuple[str, ...] = (),
 ) -> Any:  # fmt: skip
     """A numeric effect parameter: hard limits, the plausible range a search covers, unit and meaning.
 
     `plausible` is for the `REFERENCE` acquisition; `follows` names what it scales with ("movie_s": a bleaching
-    rate is looked for where molecules bleach within the movie), "/" in front where it scales inversely.
+    rate is looked for where molecules bleach within the movie), "/" in front where it scales inversely. `forms`: the
+    functional forms that it matters to; none named: all.
     """
     return Field(
         default,
@@ -38,8 +40,10 @@ def parameter(
         gt=gt,
         le=le,
         description=description,
-        json_schema_extra={"plausible": list(plausible), "unit": unit, "log": log, "follows": follows},
-    )
+        json_schema_extra={
+            "plausible": list(plausible), "unit": unit, "log": log, "follows": follows, "forms": list(forms),
+        },
+    )  # fmt: skip
 
 
 class Effect(BaseModel):
@@ -114,6 +118,12 @@ class Effect(BaseModel):
         """The functional forms the effect offers (its ``form`` field), or one unnamed form."""
         field = cls.model_fields.get("form")
         return tuple(getattr(field.annotation, "__args__", ())) if field is not None else ("",)
+
+    def matters(self, name: str) -> bool:
+        """Whether a parameter changes anything in the effect's form."""
+        extra = type(self).model_fields[name].json_schema_extra
+        forms: Any = extra.get("forms") if isinstance(extra, dict) else None
+        return not forms or self.form_name in forms
 
     @property
     def form_name(self) -> str:

@@ -58,8 +58,8 @@ def seen_path() -> Any:
     """The field `course` of effects that may wander."""
     return Field(
         (),
-        description="for the form wandering: values at equal times, 0 first, ±1 at most, "
-        "with the sign of the change; () at random",
+        description="values at equal times, 0 first, ±1 at most, with the sign of the change; () at random",
+        json_schema_extra={"forms": ["wandering"]},
     )
 
 
@@ -96,14 +96,14 @@ def _step(frame: NDArray[Any], at: float, rise: float) -> NDArray[np.float64]:
 def step_time() -> Any:
     """The field `step_at` of effects with a stepwise course."""
     return parameter(
-        0.5, ge=0, le=1, plausible=(0.1, 0.9), unit="of the movie", description="when it happens, for the form step"
+        0.5, ge=0, le=1, plausible=(0.1, 0.9), unit="of the movie", description="when it happens", forms=("step",)
     )
 
 
 def step_length() -> Any:
     """The field `step_frames` of effects with a stepwise course."""
     return parameter(
-        0.0, ge=0, plausible=(0, 20), unit="frames", description="how long it takes (10 to 90 %), for the form step"
+        0.0, ge=0, plausible=(0, 20), unit="frames", description="how long it takes (10 to 90 %)", forms=("step",)
     )
 
 

@@ -38,7 +38,9 @@ class StageDrift(Effect):
         45.0, plausible=(0, 360), unit="deg", description="direction; 0 along x, 90 along y"
     )
     path: tuple[tuple[float, float], ...] = Field(
-        (), description="for the form wandering: (y, x) at equal times, 0 first, 1 long at most; () at random"
+        (),
+        description="(y, x) at equal times, 0 first, 1 long at most; () at random",
+        json_schema_extra={"forms": ["wandering"]},
     )
     step_at: float = step_time()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"

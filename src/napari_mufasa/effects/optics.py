@@ -114,8 +114,9 @@ class BackgroundDecay(Effect):
         description="share of the background that decays",
     )
     time_constant_movies: float = parameter(
-        0.4, gt=0, plausible=(0.1, 1.5), unit="movies", log=True, description="decay time / movie length (exponential)"
-    )
+        0.4, gt=0, plausible=(0.1, 1.5), unit="movies", log=True, description="decay time / movie length",
+        forms=("exponential",),
+    )  # fmt: skip
     form: Literal["exponential", "linear"] = "exponential"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:

@@ -172,10 +172,11 @@ class Photobleaching(Effect):
         le=1,
         plausible=(0.2, 0.6),
         unit="",
-        description="share of fast bleachers (two_populations)",
+        description="share of fast bleachers",
+        forms=("two_populations",),
     )
     rate_ratio: float = parameter(
-        5.0, ge=1, plausible=(3, 20), unit="", log=True, description="fast over slow rate (two_populations)"
+        5.0, ge=1, plausible=(3, 20), unit="", log=True, description="fast over slow rate", forms=("two_populations",)
     )
     form: Literal["exponential", "two_populations"] = "exponential"
 

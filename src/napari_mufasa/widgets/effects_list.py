@@ -145,6 +145,7 @@ class EffectsList(QWidget):
         self.words.setText(f"{effect.what_it_is} {effect.what_it_does}")
         self.form = Form(type(effect))
         self.form.show_values(effect)
+        _show_rows(self.form, effect)
         self.form.edited.connect(self._on_edited)
         self._layout.addWidget(self.form)
 
@@ -164,5 +165,12 @@ class EffectsList(QWidget):
             return
         if kind in self._off:
             self._off[kind] = changed
+            _show_rows(self.form, changed)
         else:
             self.session.set_model(self.session.model.with_effects(changed))
+
+
+def _show_rows(form: Form, effect: Effect) -> None:
+    """Only what matters in the effect's form."""
+    for name in form.editors:
+        form.show_row(name, effect.matters(name))
