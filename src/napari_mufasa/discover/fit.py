@@ -206,9 +206,10 @@ def _uncertainty(state: State, n_effect: int, misfit: float, effect: Effect) -> 
     loose = np.concatenate([state.prior[:n], np.full(n_effect, 3.0)])
     covariance = np.linalg.inv(slope.T @ slope + np.diag(1 / loose**2))
     excess = max(1.0, misfit / state.mean.shape[1])
-    # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter.
+    # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter. Misfit
+    # beyond that of simulations widens either (Birge's ratio): the model is not quite what made the measurement.
     scatter = np.std([state.profiled(row).moves[n:] for row in state.check], axis=0, ddof=1)
-    widths = np.maximum(np.sqrt(np.diag(covariance)[n:] * excess), scatter)
+    widths = np.maximum(np.sqrt(np.diag(covariance)[n:]), scatter) * np.sqrt(excess)
     named = {}
     for path, sd in zip(state.free[n:], widths, strict=True):
         coordinate = next(c for c in Coordinate.of(effect, state.model) if f"{effect.kind}.{c.name}" == path)
