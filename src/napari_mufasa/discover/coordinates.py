@@ -36,7 +36,7 @@ class Coordinate:
         not matter to the effect's form is not free."""
         found = []
         for name, (low, high, log) in type(effect).plausible(model).items():
-            if not effect.matters(name):
+            if not effect.matters(name) or (log and getattr(effect, name) <= 0):
                 continue
             unit = 1.0 if log else (high - low) / 4
             if name == effect.strength:
@@ -47,7 +47,14 @@ class Coordinate:
     def moved(self, effect: Effect, by: float) -> float:
         value = float(getattr(effect, self.name))
         new = value * float(np.exp(by)) if self.log else value + by * self.unit
-        return float(np.clip(new, self.low, self.high))
+        # Where it is beyond the range already, it may stay there.
+        return float(np.clip(new, min(self.low, value), max(self.high, value)))
+
+    def inward(self, effect: Effect, step: float) -> float:
+        """A step of that size that the range does not cut short."""
+        here = float(getattr(effect, self.name))
+        there, back = abs(self.moved(effect, step) - here), abs(self.moved(effect, -step) - here)
+        return step if there >= 0.99 * back else -step
 
     def sd(self, effect: Effect, sd: float) -> float:
         """A standard deviation of the coordinate in the parameter's own unit."""
@@ -59,7 +66,7 @@ def moved(model: Model, values: list[nuisance.Nuisance], free: Sequence[str], mo
     effects = {effect.kind: effect for effect in model.effects}
     model = nuisance.apply(model, values, moves[: len(values)])
     for path, by in zip(free[len(values) :], moves[len(values) :], strict=True):
-        kind, name = path.split(".")
+        kind, name = path.rsplit(".", 1)
         coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
         effects[kind] = changed(effects[kind], {name: coordinate.moved(effects[kind], float(by))})
     return model.model_copy(update={"effects": tuple(effects.values())})

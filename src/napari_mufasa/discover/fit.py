@@ -205,7 +205,7 @@ def _uncertainty(state: State, n_effect: int, misfit: float, effect: Effect) -> 
     slope = state.whiten[0] @ (state.slopes[0] / state.spread[0][:, None])
     loose = np.concatenate([state.prior[:n], np.full(n_effect, 3.0)])
     covariance = np.linalg.inv(slope.T @ slope + np.diag(1 / loose**2))
-    excess = max(1.0, misfit / state.mean.shape[1])
+    excess = max(1.0, misfit / float(np.median([state.misfit(row) for row in state.check])))
     # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter. Misfit
     # beyond that of simulations widens either (Birge's ratio): the model is not quite what made the measurement.
     scatter = np.std([state.profiled(row).moves[n:] for row in state.check], axis=0, ddof=1)

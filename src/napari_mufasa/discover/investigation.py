@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,8 @@ SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need
 CONTESTED = 0.6  # effects with this share of the best evidence are contested: each may show its best form
 FORM_WORTH = 0.2  # another form is fitted from this share of the evidence
 CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
-FORM_MISFIT = 0.05  # with less misfit than chance leaves so often, other forms are not tried
+FORM_MISFIT = 0.05  # at the floor, with less misfit than chance leaves so often, other forms are not tried
+TRIALS = 4  # simulations that tell which of two models is nearer
 FAR_OFF = 2.5  # an error of so many floors is far off: several things are missing
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
@@ -110,9 +111,15 @@ class Investigation:
 
     @property
     def view(self) -> View:
+        """The model as it stands, and what is seen from there."""
+        return self.views[-1] if self.views else self.first_view
+
+    @property
+    def first_view(self) -> View:
+        """The model believed, its nuisance values near the measurement."""
         if not self.views:
             self.examine()
-        return self.views[-1]
+        return self.views[0]
 
     @property
     def library(self) -> Library:
@@ -125,14 +132,9 @@ class Investigation:
         return self.view.state
 
     @property
-    def base(self) -> State:
-        """The model believed, its nuisance values near the measurement."""
-        return (self.views or [self.view])[0].state
-
-    @property
     def null(self) -> Null:
         if self._null is None:
-            self._null = Null.of(*(self.views or [self.view])[0].library.null_distribution())
+            self._null = Null.of(*self.first_view.library.null_distribution())
         return self._null
 
     @property
@@ -173,13 +175,21 @@ class Investigation:
         self.views = [View(near, near.base)]
 
     def approach(self) -> None:
-        """Where the model is still far off: simulate the neighbourhood anew around it, its nuisance values matched."""
+        """Where the model is still far off: simulate the neighbourhood anew around it, its nuisance values as they
+        were fitted or matched again, whichever is nearer."""
         if not self.far_off or self.state is not self.fits[-1].state:
             return
-        model, kinds = self.model, [kind for kind in self.kinds if kind not in self.chosen]
+        kinds = [kind for kind in self.kinds if kind not in self.chosen]
         self.bench.plan(library.expected_simulations(kinds, len(self.state.free)))
-        near = library.build(self.bench, library.matched(self.bench, model), kinds)
+        model = min(self.model, library.matched(self.bench, self.model), key=self._distance)
+        near = library.build(self.bench, model, kinds, self.chosen)
         self.views[-1] = View(near, near.base)
+
+    def _distance(self, model: Model) -> float:
+        """The misfit of a few simulations of a model near the one that stands."""
+        rows = self.bench.rows([(model, k) for k in range(TRIALS)])
+        shift = (rows - self.library.rows[:TRIALS]).mean(axis=0)
+        return replace(self.state, mean=self.library.base.mean + shift).misfit(self.x)
 
     def leads(self) -> dict[str, list[Lead]]:
         """What every effect not yet in the model promises in each of its forms, by the emulator; best first."""
@@ -233,13 +243,15 @@ class Investigation:
         for kind, (lead, *_) in leads.items():
             if kind not in self._tried:
                 p = self.null.p_evidence(lead.gain)
-                self.ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, _parameters(lead.start()), {}))
+                self.ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, lead.start().parameters(), {}))
         return self.ranking
 
     def add(self, what: str | Effect | Candidate) -> None:
         """Fit an effect into the model as it stands, and keep it; where misfit is left, in its best form."""
         kind = what if isinstance(what, str) else what.effect if isinstance(what, Candidate) else what.kind
         _known(kind)
+        if kind in (effect.kind for effect in self.believed.effects):
+            raise MufasaError(f"{kind} is in the model believed already: take it out there first")
         if kind in self.chosen:
             raise MufasaError(f"{kind} is already in the model: undo it first, or add another effect")
         if kind not in self._tried:
@@ -276,7 +288,7 @@ class Investigation:
         pick can be wrong."""
         if len(self.fits) != 2 or (alone := self._alone.get(self.chosen[1])) is None:
             return
-        if self.library is not self.views[0].library:  # seen from elsewhere: not comparable
+        if self.library is not self.first_view.library:  # seen from elsewhere: not comparable
             return
         bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence_at(SECOND))
         if alone.score < bar + self.null.evidence_at(SECOND):
@@ -294,7 +306,7 @@ class Investigation:
         self.fits.pop()
         self._gained.pop()
         self.views.pop()
-        self._tried, self._formed = {}, set()
+        self._forget()
 
     def report(self, verdict: Verdict | None = None) -> Report:
         """What has been found so far."""
@@ -304,6 +316,10 @@ class Investigation:
         self._gained.append(self._evidence(found))
         self.fits.append(found)
         self.views.append(View(self.library, found.state))
+        self._forget()
+
+    def _forget(self) -> None:
+        """Fits into the model as it stood are no fits into this one."""
         self._tried, self._formed = {}, set()
 
     def _rank_first(self, candidate: Candidate) -> None:
@@ -321,13 +337,13 @@ class Investigation:
             tried = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
             if tried is not None:
                 self._tried[kind] = tried
-        if all(self._far(tried.state) for tried in self._tried.values()):
-            return  # several things are missing: which comes first matters little
-        contested = self._within(CONTESTED)
+        # With several things missing it matters little which comes first.
+        far = all(self._far(tried.state) for tried in self._tried.values())
+        contested = self._within(CLOSE if far else CONTESTED)
         if len(contested) > 1:
             self._tried |= {kind: self._best_form(self._tried[kind]) for kind in contested}
             self._formed = set(contested)
-        if len(close := self._within(CLOSE)) > 1:
+        if not far and len(close := self._within(CLOSE)) > 1:
             self._tried |= {kind: fit.settle(self.library, self._tried[kind], self.x) for kind in close}
 
     def _within(self, share: float) -> list[str]:
@@ -353,7 +369,7 @@ class Investigation:
         share = float(np.clip((before - after) / max(before - self.state.floor, 1e-9), 0.0, 1.0))
         gain = max(self._evidence(found), 0.0)
         p = self.null.p_evidence(gain)
-        return Candidate(found.effect.kind, p, gain, after, share, _parameters(found.effect), found.sd, near)
+        return Candidate(found.effect.kind, p, gain, after, share, found.effect.parameters(), found.sd, near)
 
     def _starts(self, kind: str) -> list[Effect]:
         leads = self.leads()
@@ -430,7 +446,3 @@ def _known(kind: str) -> type[Effect]:
         return effect_class(kind)
     except ValueError as error:
         raise MufasaError(str(error)) from None
-
-
-def _parameters(effect: Effect) -> dict[str, Any]:
-    return {name: value for name, value in effect.model_dump().items() if name != "kind"}

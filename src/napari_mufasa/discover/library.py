@@ -180,21 +180,22 @@ def matched(bench: Bench, model: Model) -> Model:
     return model
 
 
-def build(bench: Bench, model: Model, kinds: Sequence[str]) -> Library:
+def build(bench: Bench, model: Model, kinds: Sequence[str], added: Sequence[str] = ()) -> Library:
     """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks.
 
-    Free are its nuisance values and the parameters of the effects it has.
+    Free are its nuisance values and the parameters of the effects that were `added`, but for those that are read off
+    the movie; effects of the model believed stay as they are believed.
     """
     values = nuisance.nuisances(model)
-    parameters = [
-        f"{effect.kind}.{c.name}"
-        for effect in model.effects
-        for c in Coordinate.of(effect, model)
-        if c.name not in effect.read_off(bench.measured)
-    ]
+    parameters: dict[str, float] = {}  # and the step for their derivatives
+    for effect in model.effects:
+        seen = effect.read_off(bench.measured) if effect.kind in added else {}
+        for c in Coordinate.of(effect, model) if effect.kind in added else ():
+            if c.name not in seen:
+                parameters[f"{effect.kind}.{c.name}"] = c.inward(effect, PARAMETER_STEP)
     free = (*(n.path for n in values), *parameters)
     prior = np.array([n.prior for n in values] + [PARAMETER_PRIOR] * len(parameters))
-    steps = [n.step for n in values] + [PARAMETER_STEP] * len(parameters)
+    steps = [n.step if j % 2 else -n.step for j, n in enumerate(values)] + list(parameters.values())
     rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
     slopes = _slopes(bench, lambda by: moved(model, values, free, by), steps, rows)
@@ -220,12 +221,11 @@ def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict
 
 def _slopes(bench: Bench, model_at: Callable[[Array], Model], steps: list[float], base: Array) -> Array:
     """Derivatives of the observables (part, observable, free value), by differences of paired simulations."""
-    signed = np.diag([step if j % 2 else -step for j, step in enumerate(steps)])
-    jobs = [(model_at(by), k) for by in signed for k in range(SLOPE_SEEDS)]
+    jobs = [(model_at(by), k) for by in np.diag(steps) for k in range(SLOPE_SEEDS)]
     rows = bench.rows(jobs).reshape(len(steps), SLOPE_SEEDS, *base.shape[1:])
     change = rows - base[:SLOPE_SEEDS]
     mean, variance = change.mean(axis=1), change.var(axis=1, ddof=1) / SLOPE_SEEDS
-    return np.moveaxis(mean * trusted(mean, variance) / signed.diagonal()[:, None, None], 0, -1)
+    return np.moveaxis(mean * trusted(mean, variance) / np.array(steps)[:, None, None], 0, -1)
 
 
 def trusted(derivative: Array, variance: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pandas as pd
 from napari_mufasa.discover.curves import draw
 from napari_mufasa.discover.library import SCALES, State, scaled
 from napari_mufasa.discover.null import ALARM, MISFIT_ALARM
-from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
+from napari_mufasa.discover.result import ERROR_UNIT, Candidate, Report, Verdict
 from napari_mufasa.model import Model
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
 def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Report:
     """Everything a report holds, from the investigation as it stands."""
-    base, x, final = inquiry.base, inquiry.x, inquiry.state
+    base, x, final = inquiry.first_view.state, inquiry.x, inquiry.state
     states = [view.state for view in inquiry.views]
     errors = [state.held_out_error(x) for state in states]
     floor = final.floor
@@ -41,7 +42,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         verdict=verdict,
         error={"before": errors[0], "after": errors[-1], "floor": floor, "unit": ERROR_UNIT},
         failing=_failing(table),
-        ranking=list(inquiry.ranking),
+        ranking=[_as_it_stands(candidate, inquiry.model) for candidate in inquiry.ranking],
         chosen=inquiry.chosen,
         history=history,
         model=_restored(inquiry.model, inquiry.believed),
@@ -54,6 +55,12 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         detectable=detectable(inquiry) if verdict == "adequate" else {},
         notes=[*inquiry.measurement.notes, *_notes(inquiry, verdict, table)],
     )
+
+
+def _as_it_stands(candidate: Candidate, model: Model) -> Candidate:
+    """An effect that was added has the parameters it has in the model: later steps may have moved them."""
+    effect = next((e for e in model.effects if e.kind == candidate.effect), None)
+    return candidate if effect is None else replace(candidate, parameters=effect.parameters())
 
 
 def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
@@ -97,7 +104,7 @@ def detectable(inquiry: Investigation) -> dict[str, float | None]:
 
 def _table(inquiry: Investigation, final: State) -> pd.DataFrame:
     """One row per observable: measured, models, z-scores, free values at their best."""
-    measured, base = inquiry.bench.measured, inquiry.base
+    measured, base = inquiry.bench.measured, inquiry.first_view.state
     rows = []
     means, scores = [], []
     for state in (base, final):

@@ -119,6 +119,10 @@ class Effect(BaseModel):
         field = cls.model_fields.get("form")
         return tuple(getattr(field.annotation, "__args__", ())) if field is not None else ("",)
 
+    def parameters(self) -> dict[str, Any]:
+        """Name and value of what matters to the effect's form."""
+        return {name: getattr(self, name) for name in type(self).model_fields if self.matters(name)}
+
     def matters(self, name: str) -> bool:
         """Whether a parameter changes anything in the effect's form."""
         extra = type(self).model_fields[name].json_schema_extra

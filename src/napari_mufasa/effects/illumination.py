@@ -131,9 +131,10 @@ def seen_step(observation: Observation) -> dict[str, float]:
     return {"step_at": float(np.clip(at / max(n - 1, 1), 0, 1)), "step_frames": float(rise)}
 
 
-def bright_side() -> Any:
-    """The field `direction_deg` of effects that make one side of the field brighter."""
-    return parameter(0.0, plausible=(0, 360), unit="deg", description="where it is brightest; 0 along x, 90 along y")
+def bright_side(forms: tuple[str, ...] = ()) -> Any:
+    """The field `direction_deg` of effects that make one side of the field brighter, in all or some of their forms."""
+    told = "where it is brightest; 0 along x, 90 along y"
+    return parameter(0.0, plausible=(0, 360), unit="deg", description=told, forms=forms)
 
 
 def seen_bright_side(observation: Observation) -> dict[str, float]:
@@ -163,7 +164,7 @@ class IlluminationProfile(Effect):
         unit="",
         description="light lost at the field's dimmest edge",
     )
-    direction_deg: float = bright_side()
+    direction_deg: float = bright_side(forms=("off_centre", "linear"))
     form: Literal["gaussian", "off_centre", "linear"] = "gaussian"
 
     @classmethod

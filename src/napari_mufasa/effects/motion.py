@@ -55,9 +55,11 @@ class StageDrift(Effect):
         y, x = seen[-1]
         along = np.clip(seen @ seen[-1] / max(float(seen[-1] @ seen[-1]), 1e-12), 0, 1)
         extent = float(np.hypot(*seen.T).max())
-        path = tuple((float(b), float(a)) for b, a in (seen / extent).round(4)) if extent > SEEN_PX else ()
-        direction = float(np.rad2deg(np.arctan2(y, x)) % 360)
-        return {"direction_deg": direction, "path": path, "step_at": float(1 - along.mean())}
+        direction = {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
+        if extent <= SEEN_PX:
+            return direction | {"path": ()}
+        path = tuple((float(b), float(a)) for b, a in (seen / extent).round(4))
+        return direction | {"path": path, "step_at": float(1 - along.mean())}
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)

@@ -178,6 +178,7 @@ class RunBar(QWidget):
             self._rest = _in_turns(done, outcome.value)
             self._breath.start()  # napari's own end of a run comes first
             return
+        gc.unfreeze()  # what a run leaves that did not end well is to be collected
         self._end()
 
     def _go_on(self) -> None:

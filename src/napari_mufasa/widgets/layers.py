@@ -164,10 +164,14 @@ def shown_later(viewer: Viewer, layer: Layer) -> Generator[None, None, None]:
     for part in parts:
         part.visible = False
     layer.visible = True
-    for part in parts:
-        part.visible = True
+    try:
+        for part in parts:
+            part.visible = True
+            yield
         yield
-    yield
+    finally:  # also when the run is dropped half-way
+        for part in parts:
+            part.visible = True
 
 
 def _drawn_parts(viewer: Viewer, layer: Layer) -> list[Any]:

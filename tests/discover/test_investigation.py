@@ -1,0 +1,83 @@
+"""The conversation's bookkeeping: what is seen from where, and what is the user's own."""
+
+import numpy as np
+import pytest
+
+import napari_mufasa as nm
+from napari_mufasa.discover.coordinates import Coordinate, moved
+from napari_mufasa.discover.investigation import FAR_OFF, Investigation
+from napari_mufasa.discover.nuisance import nuisances
+from napari_mufasa.effects import effect_class
+
+KINDS = ["laser_drift", "row_noise", "background_gradient"]
+
+
+@pytest.fixture(scope="module")
+def inquiry():
+    """Three strong effects are missing: far from the floor after any one of them."""
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 60, "acquisition.shape_px": (48, 48), "sample.n_molecules": 14}
+    )
+    strong = [
+        effect_class("laser_drift")(change=-0.5),
+        effect_class("row_noise")(rms_adu=12.0),
+        effect_class("background_gradient")(relative_height=1.5, direction_deg=30.0),
+    ]
+    truth = model.model_copy(update={"effects": tuple(strong)})
+    return Investigation(nm.simulate(truth, seed=5).movie, model, nm.simulate_dark(truth, 20, 6), seed=2, effects=KINDS)
+
+
+def test_far_from_the_floor_the_neighbourhood_is_simulated_anew_and_undo_goes_back(inquiry):
+    before, first = inquiry.state.held_out_error(inquiry.x), inquiry.library
+    inquiry.add("laser_drift")
+    near = inquiry.state
+    assert near.held_out_error(inquiry.x) > FAR_OFF * near.floor and inquiry.library is first
+    inquiry.approach()
+    assert inquiry.library is not first and "laser_drift.change" in inquiry.state.free
+    assert set(inquiry.library.rays) == {"row_noise", "background_gradient"}
+    here = inquiry.library
+    inquiry.approach()
+    assert inquiry.library is here  # once is enough
+    inquiry.add("row_noise")
+    assert inquiry.chosen == ["laser_drift", "row_noise"]
+    gained = inquiry.explained
+    inquiry.add("background_gradient")
+    assert inquiry.state.held_out_error(inquiry.x) < 1.5 * inquiry.state.floor  # nothing else is missing
+    assert {e.kind for e in inquiry.model.effects} == set(KINDS) and inquiry.explained > gained
+    inquiry.undo()
+    inquiry.undo()
+    assert inquiry.library is here and 0 < inquiry.explained < gained
+    inquiry.undo()
+    assert inquiry.library is first and inquiry.state.held_out_error(inquiry.x) == before and inquiry.explained == 0
+
+
+def test_an_effect_of_the_model_believed_is_not_added_again(inquiry):
+    believed = inquiry.believed
+    inquiry.believed = believed.with_effects(effect_class("triplet_blinking")())
+    try:
+        with pytest.raises(nm.MufasaError, match="believed already"):
+            inquiry.add(effect_class("triplet_blinking")(off_rate_per_s=3.0))
+    finally:
+        inquiry.believed = believed
+
+
+def test_no_move_changes_nothing_even_beyond_the_plausible_range():
+    odd = [
+        effect_class("photobleaching")(rate_per_s=1e-5, fast_fraction=0.9, rate_ratio=2.0, form="two_populations"),
+        effect_class("triplet_blinking")(dark_time_s=0.5),
+    ]
+    model = nm.preset("FF").model_copy(update={"effects": tuple(odd)})
+    values = nuisances(model)
+    free = [n.path for n in values] + [f"{e.kind}.{c.name}" for e in odd for c in Coordinate.of(e, model)]
+    assert moved(model, values, free, np.zeros(len(free))).effects == model.effects
+
+
+def test_a_step_at_the_end_of_a_range_goes_inward():
+    bleaching, model = effect_class("photobleaching")(fast_fraction=0.6, form="two_populations"), nm.preset("FF")
+    share = next(c for c in Coordinate.of(bleaching, model) if c.name == "fast_fraction")
+    assert share.inward(bleaching, 0.2) == -0.2 and share.moved(bleaching, -0.2) < 0.6 == share.moved(bleaching, 0.2)
+
+
+def test_an_effect_that_is_off_has_no_free_strength():
+    off = effect_class("photobleaching")(rate_per_s=0.0)
+    assert Coordinate.of(off, nm.preset("FF")) == []
