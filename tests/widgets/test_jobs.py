@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import os
+import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -124,6 +128,34 @@ def test_error_is_a_notification_with_its_remedy(bar, qtbot):
         bar.start("Working", work, lambda _: None)
     assert notification_manager.records[-1].message == "em_gain = -1: give 1 … 100000"
     assert "give 1" in bar.message.text()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux knows the priority of a thread")
+def test_work_steps_back_for_the_interface_and_so_do_its_threads(bar, qtbot):
+    def priority():
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    def work(progress, cancel):
+        with ThreadPoolExecutor(1) as pool:
+            return priority(), pool.submit(priority).result()
+
+    before, found = priority(), []
+    with qtbot.waitSignal(bar.finished, timeout=5000):
+        bar.start("Working", work, found.append)
+    assert min(found[0]) > before == priority()
+
+
+def test_what_lives_when_a_run_starts_is_set_aside_until_a_layer_goes(with_movie, qtbot):
+    panel = MoleculesPanel(with_movie)
+    with_movie.window.add_dock_widget(panel)
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.run_bar.start("Working", lambda progress, cancel: 1, lambda value: None)
+    assert gc.get_freeze_count() > 0
+    with_movie.layers.clear()
+    assert gc.get_freeze_count() == 0
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.run_bar.start("Failing", lambda progress, cancel: 1 / 0, lambda value: None)
+    assert gc.get_freeze_count() == 0
 
 
 def test_layer_deleted_mid_run_does_not_matter(with_movie, qtbot, bright_movie):

@@ -14,7 +14,7 @@ from qtpy.QtCore import QObject, Qt, QTimer, Signal  # type: ignore[attr-defined
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.widgets.courtesy import courteous
+from napari_mufasa.widgets.courtesy import courteous, step_back
 
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
@@ -42,6 +42,7 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
 
     def run() -> None:
         try:
+            step_back()
             with courteous():
                 outcome = Outcome(work(lambda done, total: news.put((done, total)), stop))
         except BaseException as error:  # handed to the interface, which tells the user
