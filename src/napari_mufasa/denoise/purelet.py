@@ -82,7 +82,7 @@ def pure_let(
         Mean of the Gaussian noise; it is removed from the result.
     method : "patches", "undecimated" or "cycle-spinning"
         "undecimated" weighs all shifts of the Haar blocks in one risk estimate of the image; "patches" then filters
-        like patches of that estimate together as far as the risk says that it helps: the best for one image, some four
+        like patches of that estimate together as far as the risk says that it helps: the best for one image, some eight
         times slower; "cycle-spinning" solves each shift of the decimated transform by itself and averages: simpler, a
         little worse.
     levels : int
