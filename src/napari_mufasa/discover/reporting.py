@@ -26,7 +26,7 @@ CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
 def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Report:
     """Everything a report holds, from the investigation as it stands."""
-    base, x, final = inquiry.first_view.state, inquiry.x, inquiry.state
+    base, x, final, model = inquiry.first_view.state, inquiry.x, inquiry.state, inquiry.model
     states = [view.state for view in inquiry.views]
     errors = [state.held_out_error(x) for state in states]
     floor = final.floor
@@ -35,17 +35,17 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
     table = _table(inquiry, final)
     numbers = range(CURVE_SEED, CURVE_SEED + CURVE_SIMULATIONS)
     before = inquiry.bench.observations([(base.model, k) for k in numbers])
-    after = inquiry.bench.observations([(inquiry.model, k) for k in numbers]) if inquiry.chosen else before
+    after = inquiry.bench.observations([(model, k) for k in numbers]) if inquiry.chosen else before
     interval = inquiry.believed.acquisition.interval_s
     verdict = verdict or judge(inquiry, errors, floor)
     return Report(
         verdict=verdict,
         error={"before": errors[0], "after": errors[-1], "floor": floor, "unit": ERROR_UNIT},
         failing=_failing(table),
-        ranking=[_as_it_stands(candidate, inquiry.model) for candidate in inquiry.ranking],
+        ranking=[_as_it_stands(candidate, model) for candidate in inquiry.ranking],
         chosen=inquiry.chosen,
         history=history,
-        model=_restored(inquiry.model, inquiry.believed),
+        model=_restored(model, inquiry.believed),
         base=_restored(base.model, inquiry.believed),
         observables=table,
         curves=draw(inquiry.bench.measured, before, after, interval),
