@@ -65,9 +65,12 @@ def expose(
     # 2 multiplication or conversion
     excess = multiplication_noise(camera) if hooks.excess_noise_factor is None else hooks.excess_noise_factor
     from napari_mufasa.camera_kernels import detect, read_out
+    from napari_mufasa.register import quantile_roots
 
     numbers = np.ascontiguousarray(frames, dtype=np.int64)
-    electrons = detect(np.ascontiguousarray(expected, np.float32), excess, numbers, streams.key("detection"))
+    electrons = detect(
+        np.ascontiguousarray(expected, np.float32), excess, numbers, streams.key("detection"), quantile_roots()
+    )
     electrons = cmos_response(electrons, camera) if camera.type == "CMOS" else electrons * np.float32(_gain(camera))
     # 3 what happens to the charge on its way out
     for hook in hooks.amplified:

@@ -10,30 +10,26 @@ import math
 
 import numpy as np
 
-from napari_mufasa.variates import (
-    electrons_after_gain,
-    gamma,
-    jit,
-    normal_quantile,
-    poisson,
-    poisson_row,
-    stream,
-    uniform,
-    uniforms,
-)
+from napari_mufasa.register import electrons_after_gain
+from napari_mufasa.variates import gamma, jit, normal_quantile, poisson, poisson_row, stream, uniforms
 
 
 @jit
-def detect(expected, excess, frames, key):  # type: ignore[no-untyped-def]
+def detect(expected, excess, frames, key, table):  # type: ignore[no-untyped-def]
     """Photoelectrons times their multiplication noise of mean 1: an excess noise factor F² = 1 + 1/k makes
-    n electrons Gamma(shape k·n, scale 1/k); no electron in, none out."""
+    n electrons Gamma(shape k·n, scale 1/k); no electron in, none out. `table` is used for F² = 2 alone."""
     n_frames, height, width = expected.shape
     result = np.empty(expected.shape, dtype=np.float32)
     shape = 1.0 / (excess - 1.0) if excess > 1.0 else 0.0
-    u, v, mean, p, below, counts = (np.empty(width), np.empty(width), np.empty(width), np.empty(width),
-                                    np.empty(width), np.empty(width))  # fmt: skip
+    u, mean, none, below, counts = np.empty(width), np.empty(width), np.empty(width), np.empty(width), np.empty(width)
     for f in range(n_frames):
         for y in range(height):
+            uniforms(key, frames[f], y * width, 1, u)
+            if shape == 1.0:
+                for x in range(width):
+                    mean[x] = max(expected[f, y, x], 0.0)
+                electrons_after_gain(mean, u, table, none, below, result[f, y])
+                continue
             # The row at once up to twice its mean, the few brighter pixels one by one.
             total = 0.0
             for x in range(width):
@@ -43,22 +39,15 @@ def detect(expected, excess, frames, key):  # type: ignore[no-untyped-def]
             for x in range(width):
                 mean[x] = max(expected[f, y, x], 0.0) if expected[f, y, x] <= bright else 0.0
                 top = max(top, mean[x])
-            uniforms(key, frames[f], y * width, 1, u)
-            poisson_row(mean, u, int(top + 8.0 * math.sqrt(top) + 9.0), p, below, counts)
-            if shape == 1.0:
-                uniforms(key, frames[f], y * width, 2, v)
+            poisson_row(mean, u, int(top + 8.0 * math.sqrt(top) + 9.0), none, below, counts)
             for x in range(width):
                 n = np.int64(counts[x])
                 if expected[f, y, x] > bright:
-                    n, state = poisson(expected[f, y, x], stream(key, frames[f], y * width + x))
-                    if n > 0 and shape == 1.0:
-                        v[x], state = uniform(state)
+                    n, _ = poisson(expected[f, y, x], stream(key, frames[f], y * width + x))
                 if n == 0 or shape == 0.0:
                     result[f, y, x] = n
-                elif shape == 1.0:
-                    result[f, y, x] = electrons_after_gain(n, normal_quantile(v[x]))
                 else:
-                    amplified, state = gamma(shape * n, stream(key + np.uint64(1), frames[f], y * width + x))
+                    amplified, _ = gamma(shape * n, stream(key + np.uint64(1), frames[f], y * width + x))
                     result[f, y, x] = amplified / shape
     return result
 

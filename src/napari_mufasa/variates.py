@@ -30,20 +30,6 @@ _TO_UNIT = 1.0 / 9007199254740992.0  # 2⁻⁵³
 CELLS = 2048  # of the normal table, linear in between: within 3e-5 of the truth where it is used
 _TAIL = 0.02
 _NORMAL = special.ndtri(np.clip(np.arange(CELLS + 1) / CELLS, 1e-3, 1 - 1e-3)).astype(np.float32)
-# Cube roots of gamma quantiles are nearly straight in the normal score z: a coarse table does (within 1e-3 of the
-# root at one electron, where it bends most). Row n: shape n.
-TABLED_SHAPES = 64
-Z_END, Z_CELLS = 6.0, 96
-_SCORES = np.linspace(-Z_END, Z_END, Z_CELLS + 1)
-_SHAPES = np.arange(1, TABLED_SHAPES + 1)[:, None]
-_GAMMA_ROOTS = np.zeros((TABLED_SHAPES + 1, Z_CELLS + 1), dtype=np.float32)
-_GAMMA_ROOTS[1:] = np.cbrt(
-    np.where(
-        _SCORES > 0,
-        special.gammainccinv(_SHAPES, special.ndtr(-_SCORES)),
-        special.gammaincinv(_SHAPES, special.ndtr(_SCORES)),
-    )
-)
 
 jit: Any = njit(cache=True, nogil=True, error_model="numpy")
 vectorised: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -184,22 +170,6 @@ def gamma(shape, state):  # type: ignore[no-untyped-def]
 
 
 @jit
-def electrons_after_gain(n, z):  # type: ignore[no-untyped-def]
-    """Gamma(n, 1) at normal score z, whole n ≥ 1: what n electrons become by an exponential gain of mean 1.
-
-    By table up to `TABLED_SHAPES`, by Wilson and Hilferty's cube beyond (their error falls as 1/n).
-    """
-    if n <= TABLED_SHAPES:
-        place = (min(max(z, -Z_END), 0.999999 * Z_END) + Z_END) * (Z_CELLS / (2.0 * Z_END))
-        i = np.int64(place)
-        root = np.float64(_GAMMA_ROOTS[n, i] + np.float32(place - i) * (_GAMMA_ROOTS[n, i + 1] - _GAMMA_ROOTS[n, i]))
-        return root * root * root
-    c = 1.0 / (9.0 * n)
-    root = 1.0 - c + z * math.sqrt(c)
-    return n * root * root * root
-
-
-@jit
 def uniforms(key, i, first, draw, out):  # type: ignore[no-untyped-def]
     """Draw number `draw` (from 1) of the streams (i, first), (i, first + 1) …, into out (n,)."""
     base, ahead = mix(key + np.uint64(i) * _GOLDEN), np.uint64(draw) * _GOLDEN
@@ -209,20 +179,27 @@ def uniforms(key, i, first, draw, out):  # type: ignore[no-untyped-def]
 
 
 @vectorised
-def poisson_row(mean, u, terms, p, below, k):  # type: ignore[no-untyped-def]
-    """Poisson by inversion of u for means up to 30, all (n,): counts into k (float64); p and below are scratch.
-
-    `terms` is how many terms of the distribution are summed: enough for the largest mean.
-    """
+def exp_minus(mean, out):  # type: ignore[no-untyped-def]
+    """e^−mean (n,): for means up to 40 as e^(−r)⁶⁴, the series good to 1e-11; above, less than 1e-17."""
     for x in range(mean.size):
-        r = mean[x] * (1.0 / 64.0)  # exp(-mean) = exp(-r)⁶⁴, the series good to 1e-11
+        r = min(mean[x], 40.0) * (1.0 / 64.0)
         e = 1.0
         for term in range(10, 0, -1):
             e = 1.0 - r * _INVERSE[term] * e
         for _ in range(6):
             e *= e
-        p[x] = e
-        below[x] = e
+        out[x] = e
+
+
+@vectorised
+def poisson_row(mean, u, terms, p, below, k):  # type: ignore[no-untyped-def]
+    """Poisson by inversion of u for means up to 30, all (n,): counts into k (float64); p and below are scratch.
+
+    `terms` is how many terms of the distribution are summed: enough for the largest mean.
+    """
+    exp_minus(mean, p)
+    for x in range(mean.size):
+        below[x] = p[x]
         k[x] = 0.0
     for term in range(1, terms):
         for x in range(mean.size):

@@ -1,0 +1,59 @@
+"""The gain register's table and formula against the sum over electron numbers they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from napari_mufasa.register import LAST_ROOT, electrons_after_gain, quantile_roots
+
+MEANS = (1e-3, 0.05, 0.3, 1.0, 4.3, 20.0, 35.9, 36.1, 150.0, 3000.0)
+BEYOND_TABLE = LAST_ROOT**2
+
+
+def quantiles(mean, u):
+    none, z, out = np.empty_like(u), np.empty_like(u), np.empty_like(u)
+    electrons_after_gain(np.full_like(u, mean), u, quantile_roots(), none, z, out)
+    return out
+
+
+def chance_below(x, mean):
+    """F(x) by the definition: Σ Poisson(n; mean) · Gamma(n, 1) up to x."""
+    n = np.arange(1, int(mean + 12 * np.sqrt(mean) + 30))
+    return np.exp(-mean) + stats.gamma.cdf(x[:, None], n) @ stats.poisson.pmf(n, mean)
+
+
+@pytest.mark.parametrize("mean", MEANS)
+def test_quantiles_follow_the_sum_over_electron_numbers(mean):
+    """Chance error below 2e-4 in the table; beyond it the next cumulant is missing: 1e-3 at 36, less above."""
+    u = np.linspace(1e-6, 1 - 1e-6, 4001)
+    x = quantiles(mean, u)
+    none = np.exp(-mean)
+    assert np.array_equal(x == 0, u <= none)
+    error = np.abs(chance_below(x, mean) - np.maximum(u, none)).max()
+    assert error < (1e-3 if mean > BEYOND_TABLE else 2e-4)
+    assert np.all(np.diff(x) >= 0)
+
+
+@pytest.mark.parametrize("mean", MEANS)
+def test_mean_variance_and_skewness(mean):
+    """λ, 2λ and 6λ, by quadrature over the normal score of the chance left when no electron comes."""
+    z = np.linspace(-7.5, 7.5, 6001)
+    weight = stats.norm.pdf(z) / stats.norm.pdf(z).sum()
+    some = -np.expm1(-mean)
+    x = quantiles(mean, np.clip(np.exp(-mean) + some * stats.norm.cdf(z), 1e-15, 1 - 1e-15))
+    first, second, third = (some * np.sum(weight * x**k) for k in (1, 2, 3))
+    assert first == pytest.approx(mean, rel=4e-4)
+    assert second - first**2 == pytest.approx(2 * mean, rel=6e-4)
+    assert third - 3 * first * second + 2 * first**3 == pytest.approx(6 * mean, rel=6e-3)
+
+
+def test_a_little_more_light_gives_a_little_more_signal():
+    """No jumps of the electron number between two simulations of one seed, at the table's end neither."""
+    u = np.linspace(0.001, 0.999, 999)
+    for mean in (2.0, BEYOND_TABLE - 0.01):
+        change = quantiles(mean + 0.02, u) - quantiles(mean, u)
+        lit = quantiles(mean, u) > 0
+        assert change[lit].min() > -1e-3 * mean
+        assert change[lit].max() < 0.02 * 5
