@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_emission
-from napari_mufasa.effects.illumination import seen_course, seen_light, seen_step
+from napari_mufasa.effects.courses import seen_course, seen_light, seen_step
+from napari_mufasa.effects.fields import seen_relief
 
 from .helpers import ccd, effect, plain, scene_of
 
@@ -193,6 +194,16 @@ def test_background_that_decays_linearly_loses_its_share_by_the_end():
     np.testing.assert_allclose(scene.background, np.linspace(1, 0.7, 11))
 
 
+def test_background_that_decays_as_seen_follows_the_course_it_is_given():
+    seen = (0.0, -0.7, -0.9, -1.0)
+    model = ccd(**{"acquisition.n_frames": 401})
+    scene = scene_of(model.with_effects(effect("background_decay", fraction=0.5, form="as_seen", course=seen)))
+    at = ((np.arange(4) + 0.5) / 4 * 400).astype(int)
+    np.testing.assert_allclose(scene.background[at], 1 + 0.5 * np.array(seen), atol=1e-12)
+    blind = scene_of(model.with_effects(effect("background_decay", fraction=0.5, form="as_seen")))
+    np.testing.assert_allclose(blind.background, np.linspace(1, 0.5, 401))  # nothing seen: linear
+
+
 def test_background_decays_with_its_variance_while_spots_stay():
     added = effect("background_decay", fraction=0.6, time_constant_movies=0.3)
     model = ccd(**{"acquisition.n_frames": 100, "acquisition.shape_px": [64, 64]}).with_effects(added)
@@ -242,3 +253,48 @@ def test_slow_light_has_a_course_and_flicker_has_none():
     pink = [seen(np.fft.irfft(np.fft.rfft(rng.standard_normal(300)) / np.sqrt(f), 300)) for _ in range(200)]
     white = [seen(rng.standard_normal(300)) for _ in range(200)]
     assert np.mean(walks) > 0.92 and np.mean(pink) < 0.05 and not any(white)
+
+
+# Reliefs that are read off -----------------------------------------------------------------------------------
+
+RELIEF = (0.0, 0.5, 1.0, 0.2, 0.4, 0.6)  # two rows of three
+
+
+@pytest.mark.parametrize("kind", ["background_gradient", "illumination_profile"])
+def test_as_seen_follows_the_heights_it_is_given(kind):
+    """At the centres of its cells the map has those heights; strength 0 leaves it flat, no heights make it linear."""
+    strength = "relative_height" if kind == "background_gradient" else "edge_dimming"
+    size = 0.6
+
+    def background(**changes):
+        added = effect(kind, **{"form": "as_seen", "seen": RELIEF, "seen_columns": 3, strength: size} | changes)
+        return scene_of(plain(shape=(40, 60)).with_effects(added)).background_map()
+
+    found = background()
+    centres = (found[9:31:20, 9::20] + found[10:31:20, 10::20]) / 2  # centres lie between two pixels
+    heights = np.reshape(RELIEF, (2, 3))
+    expected = 1 + size * heights if kind == "background_gradient" else 1 - size * (1 - heights)
+    np.testing.assert_allclose(centres / centres[0, 0], expected / expected[0, 0], rtol=0.03)
+    assert found.mean() == pytest.approx(20.0)
+    np.testing.assert_allclose(background(**{strength: 0.0}), 20.0)
+    np.testing.assert_array_equal(background(seen=()), background(form="linear"))
+
+
+def test_a_relief_is_seen_where_tiles_agree_and_only_there():
+    """White noise on 12 × 12 tiles: seen in none of 1000 draws (less than one in 20 000 is)."""
+    rng = np.random.default_rng(5)
+
+    def seen(tiles):
+        return seen_relief(types.SimpleNamespace(background_map=tiles))
+
+    v, u = (np.indices((12, 12)) - 5.5) / 6
+    hill = 10 + 2 * np.exp(-((v - 0.3) ** 2 + u**2) / 0.4)
+    covered = hill + 0.1 * rng.standard_normal(hill.shape)
+    covered[rng.random(hill.shape) < 0.3] = np.nan
+    found = seen(covered)
+    assert found["seen_columns"] == 12
+    heights = np.reshape(found["seen"], (12, 12))
+    assert heights.min() == 0 and heights.max() == 1
+    assert np.corrcoef(heights.ravel(), hill.ravel())[0, 1] > 0.97
+    assert not any(seen(10 + rng.standard_normal((12, 12)))["seen"] for _ in range(1000))
+    assert seen(np.full((12, 12), np.nan))["seen"] == ()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera import Stack
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import drifted, seen_light, seen_path, seen_step, step_length, step_time
+from napari_mufasa.effects.courses import drifted, seen_light, seen_path, seen_step, step_length, step_time
 from napari_mufasa.scene import Scene
 
 if TYPE_CHECKING:
@@ -34,6 +34,22 @@ def _gain(scene: Scene) -> float:
 
 def _adu(scene: Scene) -> float:
     return scene.model.camera.electrons_per_adu
+
+
+def fixed_pattern(form: str, shape_px: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
+    """What differs between pixels for good, of variance 1: (y, x), or (1, x) where whole columns share it.
+
+    "alternating": two read-out channels take odd and even columns; they make most of the variance.
+    """
+    columns: NDArray[np.float64] = rng.standard_normal((1, shape_px[1]))
+    if form == "columns":
+        return columns
+    if form == "alternating":
+        channel = np.where(np.arange(shape_px[1]) % 2, 1.0, -1.0)
+        both: NDArray[np.float64] = np.sqrt(0.7) * channel + np.sqrt(0.3) * columns
+        return both
+    pixels: NDArray[np.float64] = rng.standard_normal(shape_px)
+    return pixels if form == "pixels" else np.sqrt(0.5) * (columns + pixels)
 
 
 class EMExcessNoise(Effect):
@@ -128,11 +144,11 @@ class PixelGainVariation(Effect):
         log=True,
         description="relative rms of the response",
     )
-    form: Literal["pixels", "columns", "dull_pixels"] = "pixels"
+    form: Literal["pixels", "columns", "columns_and_pixels", "dull_pixels"] = "pixels"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        shape = (1, scene.shape_px[1]) if self.form == "columns" else scene.shape_px
-        off = 1 - rng.standard_exponential(shape) if self.form == "dull_pixels" else rng.standard_normal(shape)
+        dull = self.form == "dull_pixels"
+        off = 1 - rng.standard_exponential(scene.shape_px) if dull else fixed_pattern(self.form, scene.shape_px, rng)
         response = np.maximum(1 + self.rms * off, 0.0).astype(np.float32)
         scene.sensor.amplified.append(lambda e, frames: e * response)
 
@@ -152,11 +168,11 @@ class ColumnOffset(Effect):
     rms_adu: float = parameter(
         3.0, ge=0, plausible=(0.2, 20), follows="noise_adu", unit="ADU", log=True, description="rms of the offsets"
     )
-    form: Literal["columns", "pixels"] = "columns"
+    form: Literal["columns", "pixels", "columns_and_pixels", "alternating"] = "columns"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        shape = scene.shape_px if self.form == "pixels" else (1, scene.shape_px[1])
-        offset = (self.rms_adu * _adu(scene) * rng.standard_normal(shape)).astype(np.float32)
+        pattern = fixed_pattern(self.form, scene.shape_px, rng)
+        offset = (self.rms_adu * _adu(scene) * pattern).astype(np.float32)
         scene.sensor.output.append(lambda e, frames: e + offset)
 
 
@@ -243,7 +259,7 @@ class DetectorSaturation(Effect):
         0.02, ge=0, plausible=(0.003, 0.2), follows="/peak_e", unit="1/e⁻", log=True,
         description="1 / (photoelectrons per pixel at which the response has bent by its form)",
     )  # fmt: skip
-    form: Literal["soft", "hard"] = "soft"
+    form: Literal["soft", "hard", "rounded"] = "soft"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         if self.inverse_full_scale == 0:
@@ -253,6 +269,8 @@ class DetectorSaturation(Effect):
         def bend(electrons: Stack, frames: Frames) -> Stack:
             if self.form == "hard":
                 return np.minimum(electrons, full)
+            if self.form == "rounded":
+                return np.asarray(full * np.tanh(electrons / full), np.float32)
             bent: Stack = (electrons / (1 + np.maximum(electrons, 0) / full)).astype(np.float32)
             return bent
 
@@ -280,20 +298,25 @@ class ImageLag(Effect):
         log=True,
         description="share of charge left behind",
     )
+    kept: float = parameter(
+        0.5, ge=0, le=0.95, plausible=(0.1, 0.8), unit="per frame",
+        description="share of the charge left behind that stays for another frame", forms=("decaying",),
+    )  # fmt: skip
     form: Literal["one_frame", "decaying"] = "one_frame"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         # Charge older than `depth` frames counts as `depth` frames old; usually it is 1e-4 of the signal.
         depth = 1
-        if self.form == "decaying" and self.fraction > 0:
-            depth = max(1, min(40, int(np.ceil(np.log(1e-4) / np.log(self.fraction)))))
+        kept = np.float32(self.kept if self.form == "decaying" else 0.0)
+        if kept > 0 and self.fraction > 0:
+            depth = int(np.clip(np.ceil(np.log(1e-4 / self.fraction) / np.log(kept)), 1, 40))
         scene.sensor.memory_frames = max(scene.sensor.memory_frames, depth)
         f = np.float32(self.fraction)
 
         def lag(electrons: Stack, frames: Frames) -> Stack:
             result = (1 - f) * electrons
             for back in range(1, depth + 1):
-                weight = f**depth if back == depth else (1 - f) * f**back  # the last takes the rest
+                weight = f * kept ** (back - 1) * (1 if back == depth else 1 - kept)  # the last takes the rest
                 result[back:] += weight * electrons[: max(0, len(electrons) - back)]
                 # The sensor was in the same light before the movie began.
                 result[:back] += weight * electrons[:1]

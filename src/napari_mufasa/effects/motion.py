@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import course, seen_course, seen_path, step_time
+from napari_mufasa.effects.courses import course, seen_course, seen_path, step_time
 from napari_mufasa.scene import Scene
 
 if TYPE_CHECKING:

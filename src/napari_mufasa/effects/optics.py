@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.illumination import bright_side, seen_bright_side
+from napari_mufasa.effects.courses import course, seen_light, seen_path
+from napari_mufasa.effects.fields import bright_side, relief, seen_bright_side, seen_relief, seen_values, value_columns
 from napari_mufasa.scene import Array, Scene
 
 if TYPE_CHECKING:
@@ -68,12 +69,14 @@ class BackgroundGradient(Effect):
     relative_height: float = parameter(
         0.4, ge=0, le=10, plausible=(0.03, 1.2), unit="", log=True, description="rise across the field / mean"
     )
-    direction_deg: float = bright_side()
-    form: Literal["linear", "hump"] = "linear"
+    direction_deg: float = bright_side(forms=("linear", "hump"))
+    seen: tuple[float, ...] = seen_values()
+    seen_columns: int = value_columns()
+    form: Literal["linear", "hump", "as_seen"] = "linear"
 
     @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, float]:
-        return seen_bright_side(observation)
+    def read_off(cls, observation: Observation) -> dict[str, Any]:
+        return seen_bright_side(observation) | seen_relief(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
@@ -81,8 +84,10 @@ class BackgroundGradient(Effect):
 
         def shape(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
-            if self.form == "linear":
-                rise: Array = (u * np.cos(angle) + v * np.sin(angle)) / 2
+            if self.seen and self.form == "as_seen":
+                rise = relief(self.seen, self.seen_columns, y, x, scene.shape_px)
+            elif self.form in ("linear", "as_seen"):  # where nothing was seen
+                rise = (u * np.cos(angle) + v * np.sin(angle)) / 2
             else:
                 rise = np.exp(-((v - centre[0]) ** 2 + (u - centre[1]) ** 2) / (2 * 0.45**2))
             return self.relative_height * rise
@@ -117,10 +122,19 @@ class BackgroundDecay(Effect):
         0.4, gt=0, plausible=(0.1, 1.5), unit="movies", log=True, description="decay time / movie length",
         forms=("exponential",),
     )  # fmt: skip
-    form: Literal["exponential", "linear"] = "exponential"
+    course: tuple[float, ...] = seen_path(forms=("as_seen",))
+    form: Literal["exponential", "linear", "as_seen"] = "exponential"
+
+    @classmethod
+    def read_off(cls, observation: Observation) -> dict[str, Any]:
+        return seen_light(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        left = 1 - scene.progress if self.form == "linear" else np.exp(-scene.progress / self.time_constant_movies)
+        if self.form == "exponential":
+            left = np.exp(-scene.progress / self.time_constant_movies)
+        else:
+            seen = self.course if self.form == "as_seen" else ()
+            left = 1 - np.abs(course("wandering" if seen else "linear", scene.progress, rng, seen=seen))
         scene.background = scene.background * (1 - self.fraction + self.fraction * left)
 
 

@@ -35,6 +35,7 @@ class Observation:
     meanings: dict[str, Meaning]
     spots: Spots
     course: NDArray[np.float64]  # (frame,) background, photoelectrons
+    background_map: NDArray[np.float64]  # (tile_y, tile_x) background, photoelectrons, NaN under spots
 
     def part(self, name: str) -> NDArray[np.float64]:
         result: NDArray[np.float64] = self.values[PARTS.index(name)]
@@ -97,7 +98,8 @@ def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | DarkView | N
     names = tuple(tables[0].values)
     values = np.array([list(t.values.values()) for t in tables])
     course = pixels.row_sum[1:].sum(axis=(0, 2)) * scale / max(int((label > 0).sum()), 1)
-    return Observation(values, names, tables[0].meanings, spots, course)
+    background = field.tile_means(pixels.mean * scale, label > 0)
+    return Observation(values, names, tables[0].meanings, spots, course, background)
 
 
 def photoelectrons_per_adu(model: Model) -> float:

@@ -16,6 +16,7 @@ from napari_mufasa.observe.summary import BINS, Part
 from napari_mufasa.observe.table import Table
 
 Array = NDArray[np.float64]
+TILE = 8  # px; the background's map is made of tiles of this side
 
 
 def background(
@@ -217,23 +218,28 @@ def _lag(values: Array) -> float:
     return float((values[1:] * values[:-1]).sum()) / power if power > 0 else 0.0
 
 
-def _map(table: Table, mean: Array, mask: NDArray[np.bool_]) -> None:
-    """Tilt, bow and unevenness of the background, from 8 px tiles, relative to its mean."""
-    height, width = mean.shape
-    tile = 8
+def tile_means(mean: Array, mask: NDArray[np.bool_]) -> Array:
+    """Means of `mean` (y, x) over the mask in each tile of `TILE` pixels a side; NaN where it leaves too few."""
 
     def tiled(values: Array) -> Array:
-        rows = np.add.reduceat(values, np.arange(0, height, tile), axis=0)
-        return np.add.reduceat(rows, np.arange(0, width, tile), axis=1)
+        rows = np.add.reduceat(values, np.arange(0, values.shape[0], TILE), axis=0)
+        return np.add.reduceat(rows, np.arange(0, values.shape[1], TILE), axis=1)
 
     count = tiled(mask.astype(float))
-    ok = count >= tile
-    values = tiled(np.where(mask, mean, 0.0))[ok] / count[ok]
+    return np.where(count >= TILE, tiled(np.where(mask, mean, 0.0)) / np.maximum(count, 1), np.nan)
+
+
+def _map(table: Table, mean: Array, mask: NDArray[np.bool_]) -> None:
+    """Tilt, bow and unevenness of the background, from its tiles, relative to its mean."""
+    height, width = mean.shape
+    tiles = tile_means(mean, mask)
+    ok = np.isfinite(tiles)
+    values = tiles[ok]
     r2 = sy = sx = rest = 0.0
     if len(values) >= 6:
         row, column = np.nonzero(ok)
         half = max(height, width) / 2
-        v, u = ((row + 0.5) * tile - height / 2) / half, ((column + 0.5) * tile - width / 2) / half
+        v, u = ((row + 0.5) * TILE - height / 2) / half, ((column + 0.5) * TILE - width / 2) / half
         relative = values / max(abs(float(values.mean())), 1e-6)
         design = np.stack([v**2 + u**2, v, u, np.ones_like(v)], axis=1)
         solution = np.linalg.lstsq(design, relative, rcond=None)[0]
