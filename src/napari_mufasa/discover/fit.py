@@ -14,7 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover.coordinates import Coordinate, changed, moved
-from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, Ray, State, scaled, trusted
+from napari_mufasa.discover.library import (
+    CHECK_SEED,
+    CHECK_SIMULATIONS,
+    Library,
+    Ray,
+    State,
+    derivatives,
+    free_steps,
+    scaled,
+    trusted,
+)
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.effects import Effect
 
@@ -158,10 +168,28 @@ def settle(library: Library, found: Fit, x: Array) -> Fit:
     """The fit judged by more simulations, as suits one that enters the model or has a close rival."""
     if len(found.state.check) > CHECK_SIMULATIONS:
         return found
-    n_effect = sum(path.startswith(f"{found.effect.kind}.") for path in found.state.free)
     more = library.bench.rows([(found.state.model, k) for k in range(SETTLING_SIMULATIONS)])
     rows = np.concatenate([found.state.check[:CHECK_SIMULATIONS], more])
-    return _judged(library, found.state, rows, x, n_effect)
+    return _judged(library, found.state, rows, x, n_effect(found))
+
+
+def n_effect(found: Fit) -> int:
+    """How many of the free values are parameters of the effect fitted last."""
+    return sum(path.startswith(f"{found.effect.kind}.") for path in found.state.free)
+
+
+def centred(library: Library, found: Fit, x: Array) -> Fit:
+    """The fit with all free values moved to their best and derivatives taken anew there, judged as settled: where an
+    effect changes what brightness or background do, the base model's derivatives lead astray."""
+    local = found.state
+    model = moved(local.model, library.nuisances, local.free, local.profiled(x).moves)
+    rows = library.bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
+    rows = np.concatenate([rows, library.bench.rows([(model, k) for k in range(SETTLING_SIMULATIONS)])])
+    steps = free_steps(model, library.nuisances, local.free)
+    slopes = derivatives(
+        library.bench, lambda by: moved(model, library.nuisances, local.free, by), steps, rows[CHECK_SIMULATIONS:]
+    )
+    return _judged(library, replace(local, model=model, slopes=slopes), rows, x, n_effect(found))
 
 
 def _judged(library: Library, local: State, rows: Array, x: Array, n_effect: int) -> Fit:

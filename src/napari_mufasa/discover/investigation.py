@@ -43,6 +43,7 @@ CONTESTED = 0.6  # effects with this share of the best evidence are contested: e
 FORM_WORTH = 0.2  # another form is fitted from this share of the evidence
 CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
 FORM_MISFIT = 0.05  # at the floor, with less misfit than chance leaves so often, other forms are not tried
+SURELY_SOME = 2.0  # standard deviations that a strength must be away from none
 TRIALS = 4  # simulations that tell which of two models is nearer
 FAR_OFF = 2.5  # an error of so many floors is far off: several things are missing
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
@@ -215,8 +216,8 @@ class Investigation:
         return lead > self.needed() or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
 
     def convincing(self, best: Candidate) -> bool:
-        """Does adding it lower the held-out error, with the evidence that is needed?"""
-        if best.error_after is None or best.evidence <= self.needed():
+        """Does adding it lower the held-out error, with the evidence that is needed, and is there any of it?"""
+        if best.error_after is None or best.evidence <= self.needed() or _is_none(best):
             return False
         return self.improves(self.state, best.error_after, best.evidence)
 
@@ -261,12 +262,20 @@ class Investigation:
         else:
             found = self._tried.get(kind) or fit.refine(self.library, self.state, self._starts(kind), self.x)
             found = found if kind in self._formed else self._best_form(found)
-        found = fit.settle(self.library, found, self.x)
+        found = self._settled(found)
         near = {c.effect: c.indistinguishable_from for c in self.ranking}.get(kind, ())
         others = [c for c in self.ranking if c.effect != kind]
         place = next((i for i, c in enumerate(self.ranking) if c.effect == kind), len(others))
         self.ranking = [*others[:place], self._candidate(found, near), *others[place:]]
         self._keep(found)
+
+    def _settled(self, found: Fit) -> Fit:
+        """The fit judged by more simulations; where its held-out error is above the floor, also with derivatives of
+        its own."""
+        found = fit.settle(self.library, found, self.x)
+        if found.state.held_out_error(self.x) <= AT_FLOOR * found.state.floor:
+            return found
+        return min(found, fit.centred(self.library, found, self.x), key=lambda f: f.score)
 
     def _best_form(self, found: Fit) -> Fit:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""
@@ -292,7 +301,7 @@ class Investigation:
             return
         bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence_at(SECOND))
         if alone.score < bar + self.null.evidence_at(SECOND):
-            alone = fit.settle(self.library, alone, self.x)
+            alone = self._settled(alone)
             if alone.score < bar:
                 self.undo()
                 self.undo()
@@ -439,6 +448,13 @@ def refine(
     for effect in add:
         inquiry.add(effect)
     return inquiry.report()
+
+
+def _is_none(candidate: Candidate) -> bool:
+    """Whether the fitted strength is no more than its uncertainty: what explains is then what moved beside it."""
+    kind = effect_class(candidate.effect)
+    sd = candidate.parameters_sd.get(kind.strength)
+    return sd is not None and abs(float(candidate.parameters[kind.strength]) - kind.null_value) < SURELY_SOME * sd
 
 
 def _known(kind: str) -> type[Effect]:

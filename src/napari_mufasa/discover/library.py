@@ -121,8 +121,9 @@ class State:
         found: dict[str, list[Lead]] = {}
         for kind, candidates in rays.items():
             best: dict[str, Lead] = {}
+            scales = (*SCALES, *(-s for s in SCALES)) if candidates and two_sided(candidates[0].effect) else SCALES
             for ray in candidates:
-                shifts = np.outer(SCALES, ray.shift[0] / spread)
+                shifts = np.outer(scales, ray.shift[0] / spread)
                 taken = start.soft - SOFT * np.arcsinh((raw - shifts) / SOFT)
                 rest = full - np.pad(taken @ w.T, ((0, 0), (0, len(self.prior))))
                 rest -= (rest @ q) @ q.T
@@ -130,7 +131,7 @@ class State:
                 i = int(np.argmax(gains))
                 form = ray.effect.form_name
                 if form not in best or gains[i] > best[form].gain:
-                    best[form] = Lead(float(gains[i]), ray, SCALES[i])
+                    best[form] = Lead(float(gains[i]), ray, scales[i])
             found[kind] = sorted(best.values(), key=lambda lead: -lead.gain)
         return found
 
@@ -187,23 +188,32 @@ def build(bench: Bench, model: Model, kinds: Sequence[str], added: Sequence[str]
     the movie; effects of the model believed stay as they are believed.
     """
     values = nuisance.nuisances(model)
-    parameters: dict[str, float] = {}  # and the step for their derivatives
+    free = [n.path for n in values]
     for effect in model.effects:
         seen = effect.read_off(bench.measured) if effect.kind in added else {}
-        for c in Coordinate.of(effect, model) if effect.kind in added else ():
-            if c.name not in seen:
-                parameters[f"{effect.kind}.{c.name}"] = c.inward(effect, PARAMETER_STEP)
-    free = (*(n.path for n in values), *parameters)
-    prior = np.array([n.prior for n in values] + [PARAMETER_PRIOR] * len(parameters))
-    steps = [n.step if j % 2 else -n.step for j, n in enumerate(values)] + list(parameters.values())
+        coordinates = Coordinate.of(effect, model) if effect.kind in added else ()
+        free += [f"{effect.kind}.{c.name}" for c in coordinates if c.name not in seen]
+    prior = np.array([n.prior for n in values] + [PARAMETER_PRIOR] * (len(free) - len(values)))
+    steps = free_steps(model, values, free)
     rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    slopes = _slopes(bench, lambda by: moved(model, values, free, by), steps, rows)
+    slopes = derivatives(bench, lambda by: moved(model, values, free, by), steps, rows)
     blank = np.zeros(rows.shape[1:])
-    bare = State(model, blank, blank, slopes, prior, blank, check, free, spread_floor(bench.names))
+    bare = State(model, blank, blank, slopes, prior, blank, check, tuple(free), spread_floor(bench.names))
     base = _with_noise_of(bare, rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
     return Library(bench, base, rows, values, _rays(bench, model, rows, kinds))
+
+
+def free_steps(model: Model, values: Sequence[nuisance.Nuisance], free: Sequence[str]) -> list[float]:
+    """The step of each free value for its derivative, within its range."""
+    effects = {effect.kind: effect for effect in model.effects}
+    steps = [n.step if j % 2 else -n.step for j, n in enumerate(values)]
+    for path in free[len(values) :]:
+        kind, name = path.rsplit(".", 1)
+        coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
+        steps.append(coordinate.inward(effects[kind], PARAMETER_STEP))
+    return steps
 
 
 def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict[str, list[Ray]]:
@@ -219,7 +229,7 @@ def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict
     return rays
 
 
-def _slopes(bench: Bench, model_at: Callable[[Array], Model], steps: list[float], base: Array) -> Array:
+def derivatives(bench: Bench, model_at: Callable[[Array], Model], steps: list[float], base: Array) -> Array:
     """Derivatives of the observables (part, observable, free value), by differences of paired simulations."""
     jobs = [(model_at(by), k) for by in np.diag(steps) for k in range(SLOPE_SEEDS)]
     rows = bench.rows(jobs).reshape(len(steps), SLOPE_SEEDS, *base.shape[1:])
@@ -235,19 +245,30 @@ def trusted(derivative: Array, variance: Array) -> Array:
 
 
 def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -> list[Effect]:
-    """Settings that span an effect's plausible range: strengths spread evenly, shapes at random, forms in turn."""
+    """Settings that span an effect's plausible range: strengths spread evenly, the strongest first, so that every form
+    has one from which the weaker ones follow; shapes at random, forms and other choices in turn."""
     ranges, choices = effect.plausible(model), choice_fields(effect)
     n = RAYS + len(ranges) - 1
+    shares = [(i + 0.5) / n for i in range(n)]
     found = []
-    for i, u in enumerate(rng.permutation((np.arange(n) + 0.5) / n)):
+    for i, u in enumerate(sorted(shares, key=lambda u: -abs(u - 0.5) if two_sided(effect) else -u)):
+        turn = i
         values: dict[str, Any] = {}
         for name, (low, high, log) in ranges.items():
             share = u if name == effect.strength else rng.random()
             values[name] = float(low * (high / low) ** share if log else low + (high - low) * share)
         for name, options in choices.items():
-            values[name] = options[i % len(options)]
+            values[name] = options[turn % len(options)]
+            turn //= len(options)
         found.append(effect(**values))
     return found
+
+
+def two_sided(effect: type[Effect] | Effect) -> bool:
+    """Whether the effect's strength may lie on either side of none."""
+    kind = effect if isinstance(effect, type) else type(effect)
+    low, high, _ = kind.plausible()[kind.strength]
+    return low < kind.null_value < high
 
 
 def choice_fields(effect: type[Effect]) -> dict[str, tuple[str, ...]]:
