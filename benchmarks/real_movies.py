@@ -18,6 +18,7 @@ import numpy as np
 
 import napari_mufasa as nm
 from napari_mufasa import html_report, io
+from napari_mufasa.cli.console import working
 from napari_mufasa.compare import compare_movie
 from napari_mufasa.traces import extract_traces
 from napari_mufasa.wording import effect_title, number, verdict_text
@@ -70,6 +71,8 @@ def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[st
     except nm.MufasaError as error:
         return f"W1, {what}: not to be had ({error})"
     w1 = found.w1
+    if w1["mufasa"] is None:
+        return f"W1, {what}: not to be had (no simulated molecule passes the selection)"
     floor = f"floor {w1['floor']:.3g}" if np.isfinite(w1["floor"]) else "too few molecules for a floor"
     return f"W1, {what}: {w1['mufasa']:.3g} {w1['unit']} ({floor})"
 
@@ -83,7 +86,8 @@ def main() -> None:
     for name, movie, model, dark, rules in movies():
         if options.only not in name:
             continue
-        report = nm.diagnose(movie, model, dark, max_effects=MOST)
+        with working(f"diagnosing {name}") as work:
+            report = nm.diagnose(movie, model, dark, max_effects=MOST, **work.both())
         folder = ROOT / "build" / "real_movies" / Path(name).stem
         folder.mkdir(parents=True, exist_ok=True)
         shape = " × ".join(str(n) for n in movie.shape)
