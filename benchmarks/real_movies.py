@@ -21,7 +21,7 @@ from napari_mufasa import html_report, io
 from napari_mufasa.cli.console import working
 from napari_mufasa.compare import compare_movie
 from napari_mufasa.traces import extract_traces
-from napari_mufasa.wording import effect_title, number, verdict_text
+from napari_mufasa.wording import chosen_candidates, effect_title, parameter_lines, verdict_text
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -43,16 +43,10 @@ def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
     line, fall = verdict_text(report)
     rows = [f"## {name}", "", f"{size}. **{line}** {fall} ({report.seconds / 60:.1f} min on two cores.)", ""]
     rows += ["| model | error | fitted |", "|---|---|---|"]
-    candidates = {c.effect: c for c in report.ranking}
+    candidates = {c.effect: c for c in chosen_candidates(report)}
     for step in report.history:
         kind = step.get("added")
-        fitted = ""
-        if kind in candidates:
-            values, sd = candidates[kind].parameters, candidates[kind].parameters_sd
-            fitted = ", ".join(
-                f"{key} {number(value, sd.get(key)) if isinstance(value, float) else value}"
-                for key, value in values.items()
-            )
+        fitted = ", ".join(parameter_lines(candidates[kind])) if kind in candidates else ""
         rows.append(f"| {effect_title(kind) if kind else 'believed'} | {step['error']:.2f} | {fitted} |")
     rows += [f"| floor | {report.error['floor']:.2f} | |", ""]
     near = [f"{effect_title(c.effect)} (evidence {c.evidence:.0f})" for c in report.ranking[:5]]

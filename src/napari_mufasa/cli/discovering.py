@@ -129,7 +129,12 @@ def _finish_traces(out: Path, found: TraceReport) -> None:
 
 
 def _values(parameters: dict[str, Any]) -> str:
-    return " ".join(f"{n}={v:.3g}" if isinstance(v, float) else f"{n}={v}" for n, v in parameters.items())
+    def told(value: Any) -> str:
+        if isinstance(value, float):
+            return f"{value:.3g}"
+        return f"({len(value)} values)" if isinstance(value, (tuple, list)) else str(value)
+
+    return " ".join(f"{name}={told(value)}" for name, value in parameters.items() if value != ())
 
 
 def _finish(out: Path, report: Report, movie: Path, recorded: Any, background: Any) -> None:
