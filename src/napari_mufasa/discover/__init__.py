@@ -1,6 +1,7 @@
 """Where a model fails, which physical effect is missing, and how the error falls when it is added."""
 
-from napari_mufasa.discover.investigation import Investigation, diagnose, refine
+from napari_mufasa.discover.automatic import diagnose, refine
+from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.result import Candidate, Curve, Report
 
 __all__ = ["Candidate", "Curve", "Investigation", "Report", "diagnose", "refine"]

@@ -1,7 +1,7 @@
 """The conversation: look where the model fails, ask what is missing, add it, see the error fall.
 
-`diagnose` plays it alone; the viewer and `refine` let a user play it by hand. Both see the measurement only
-through `Bench`.
+`diagnose` plays it alone; the viewer and `refine` let a user play it by hand. The measurement is seen only through
+`Bench`.
 """
 
 from __future__ import annotations
@@ -389,65 +389,6 @@ class Investigation:
     @property
     def seconds(self) -> float:
         return time.monotonic() - self._started
-
-
-def diagnose(
-    movie: Any,
-    model: Model,
-    dark: Any = None,
-    *,
-    seed: int = 1,
-    effects: Sequence[str] | None = None,
-    max_effects: int = 3,
-    progress: Callable[[int, int], None] | None = None,
-    cancel: Callable[[], bool] | None = None,
-) -> Report:
-    """Find what a model lacks to explain a movie (SPEC.md §9, §10).
-
-    Effects are added one at a time while the evidence is beyond chance and the held-out error falls, at most
-    `max_effects`. Parameters as in `Investigation`. Returns a `Report`.
-    """
-    inquiry = Investigation(movie, model, dark, seed=seed, effects=effects, progress=progress, cancel=cancel)
-    inquiry.examine()
-    told: list[Candidate] = []  # the ranking a reader wants is that of the base model
-    while len(inquiry.chosen) < max_effects and inquiry.leads() and inquiry.alarmed():
-        ranking = inquiry.rank()
-        best = next(filter(inquiry.convincing, ranking), ranking[0])
-        helps = inquiry.convincing(best)
-        if helps:
-            before = inquiry.state
-            inquiry.add(best)
-            helps = inquiry.improves(before, inquiry.state.held_out_error(inquiry.x), best.evidence)  # settled, still?
-            if helps:
-                inquiry.simplify()
-            else:
-                inquiry.undo()
-        fitted_now = {c.effect: c for c in inquiry.ranking if c.effect in inquiry.chosen[-1:]}
-        told = [fitted_now.get(c.effect, c) for c in told] or inquiry.ranking
-        told = sorted(told, key=lambda c: c.effect not in inquiry.chosen[:1])
-        if not helps:
-            break
-    inquiry.ranking = told
-    return inquiry.report()
-
-
-def refine(
-    movie: Any,
-    model: Model,
-    add: Sequence[str | Effect],
-    dark: Any = None,
-    *,
-    seed: int = 1,
-    progress: Callable[[int, int], None] | None = None,
-    cancel: Callable[[], bool] | None = None,
-) -> Report:
-    """The same loop by hand: fit the effects the user names, in order, and report the error (SPEC.md §10)."""
-    add = [add] if isinstance(add, (str, Effect)) else add
-    kinds = [a if isinstance(a, str) else a.kind for a in add]
-    inquiry = Investigation(movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel)
-    for effect in add:
-        inquiry.add(effect)
-    return inquiry.report()
 
 
 def _is_none(candidate: Candidate) -> bool:

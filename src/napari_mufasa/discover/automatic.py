@@ -1,0 +1,70 @@
+"""The conversation played without a user: all of it (`diagnose`), or along effects that the user names (`refine`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from napari_mufasa.discover.investigation import Investigation
+from napari_mufasa.discover.result import Candidate, Report
+from napari_mufasa.effects import Effect
+from napari_mufasa.model import Model
+
+
+def diagnose(
+    movie: Any,
+    model: Model,
+    dark: Any = None,
+    *,
+    seed: int = 1,
+    effects: Sequence[str] | None = None,
+    max_effects: int = 3,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Report:
+    """Find what a model lacks to explain a movie (SPEC.md §9, §10).
+
+    Effects are added one at a time while the evidence is beyond chance and the held-out error falls, at most
+    `max_effects`. Parameters as in `Investigation`. Returns a `Report`.
+    """
+    inquiry = Investigation(movie, model, dark, seed=seed, effects=effects, progress=progress, cancel=cancel)
+    inquiry.examine()
+    told: list[Candidate] = []  # the ranking a reader wants is that of the base model
+    while len(inquiry.chosen) < max_effects and inquiry.leads() and inquiry.alarmed():
+        ranking = inquiry.rank()
+        best = next(filter(inquiry.convincing, ranking), ranking[0])
+        helps = inquiry.convincing(best)
+        if helps:
+            before = inquiry.state
+            inquiry.add(best)
+            helps = inquiry.improves(before, inquiry.state.held_out_error(inquiry.x), best.evidence)  # settled, still?
+            if helps:
+                inquiry.simplify()
+            else:
+                inquiry.undo()
+        fitted_now = {c.effect: c for c in inquiry.ranking if c.effect in inquiry.chosen[-1:]}
+        told = [fitted_now.get(c.effect, c) for c in told] or inquiry.ranking
+        told = sorted(told, key=lambda c: c.effect not in inquiry.chosen[:1])
+        if not helps:
+            break
+    inquiry.ranking = told
+    return inquiry.report()
+
+
+def refine(
+    movie: Any,
+    model: Model,
+    add: Sequence[str | Effect],
+    dark: Any = None,
+    *,
+    seed: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Report:
+    """The same loop by hand: fit the effects the user names, in order, and report the error (SPEC.md §10)."""
+    add = [add] if isinstance(add, (str, Effect)) else add
+    kinds = [a if isinstance(a, str) else a.kind for a in add]
+    inquiry = Investigation(movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel)
+    for effect in add:
+        inquiry.add(effect)
+    return inquiry.report()
