@@ -1,14 +1,23 @@
 """Fits against a bench whose simulations are a known function plus noise: what is found must be what was put in."""
 
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.discover import fit
-from napari_mufasa.discover.coordinates import Coordinate
-from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, State, _with_noise_of
+from napari_mufasa.discover.coordinates import Coordinate, moved
+from napari_mufasa.discover.library import (
+    CHECK_SEED,
+    CHECK_SIMULATIONS,
+    Library,
+    State,
+    _with_noise_of,
+    derivatives,
+)
+from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.effects import effect_class
 
 P = 40
@@ -83,6 +92,38 @@ def test_an_effect_that_is_not_there_gains_nothing(library):
     x = library.bench.rows([(nm.preset("FF"), 998)])[0]
     found = fit.refine(library, library.base, HOT(fraction=1e-3), x)
     assert library.base.score(x) - found.score < 12  # two parameters: chi² of 2 is beyond 12 with chance 0.25 %
+
+
+class BentBench(ToyBench):
+    """With hot pixels more light lowers what it raises without them: the base model's derivative leads astray."""
+
+    def law(self, model):
+        light = np.log(model.optics.brightness_correction) * 40.0 * (-1 if model.effects else 1)
+        return super().law(model) + light * np.roll(self.one, 1) / 6
+
+
+def test_derivatives_taken_anew_bring_nuisance_values_home():
+    bench, model = BentBench(), nm.preset("FF")
+    values = [n for n in nuisances(model) if n.path == "optics.brightness_correction"]
+    rows = bench.rows([(model, k) for k in range(60)])
+    check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
+    slopes = derivatives(bench, lambda by: moved(model, values, ["optics.brightness_correction"], by), [0.1], rows)
+    blank = np.zeros((3, P))
+    bare = State(
+        model, blank, blank, slopes, np.array([0.2]), blank, check, ("optics.brightness_correction",), np.full(P, 0.1)
+    )
+    library = Library(bench, _with_noise_of(bare, rows), rows, values, {})
+    light = model.optics.brightness_correction * 1.15
+    effect = HOT(fraction=5e-3, electrons=8.0)
+    truth = model.with_values({"optics.brightness_correction": light}).with_effects(effect)
+    x = bench.rows([(truth, 995)])[0]
+    found = fit.judge(library, replace(library.base, model=model.with_effects(effect)), x, 0)
+    far = moved(found.state.model, values, found.state.free, found.state.profiled(x).moves)
+    assert far.optics.brightness_correction < model.optics.brightness_correction  # the wrong way
+    home = fit.centred(library, fit.centred(library, found, x), x)
+    assert home.misfit < stats_limit() and home.score < fit.settle(library, found, x).score
+    best = moved(home.state.model, values, home.state.free, home.state.profiled(x).moves)
+    assert best.optics.brightness_correction == pytest.approx(light, rel=0.02)
 
 
 def test_what_is_read_off_is_not_fitted(library):

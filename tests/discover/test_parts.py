@@ -6,7 +6,7 @@ import pytest
 import napari_mufasa as nm
 from napari_mufasa.discover import metric, nuisance
 from napari_mufasa.discover.coordinates import changed
-from napari_mufasa.discover.library import Ray, State, ray_settings, scaled
+from napari_mufasa.discover.library import Ray, State, ray_settings, scaled, two_sided
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.null import Null
 from napari_mufasa.effects import catalogue, effect_class
@@ -100,6 +100,38 @@ def test_settings_of_every_effect_span_its_range_and_forms():
         values = [getattr(s, effect.strength) for s in settings]
         assert low <= min(values) < max(values) <= high
         assert {getattr(s, "form", "") for s in settings} == set(effect.forms()), kind
+
+
+def test_every_form_has_a_strong_setting_and_choices_are_not_tied():
+    for kind, effect in catalogue().items():
+        settings = ray_settings(effect, nm.preset("EGFP"), np.random.default_rng(1))
+        low, high, log = effect.plausible(nm.preset("EGFP"))[effect.strength]
+        scale = np.log if log else float
+        for form in effect.forms():
+            values = [getattr(s, effect.strength) for s in settings if s.form_name == form]
+            shares = [(scale(v) - scale(low)) / (scale(high) - scale(low)) for v in values]
+            strong = max(abs(u - 0.5) * 2 for u in shares) if two_sided(effect) else max(shares)
+            assert strong > (0.15 if two_sided(effect) else 0.35), (
+                kind,
+                form,
+            )  # three forms share four settings, four share six
+    blinking = ray_settings(effect_class("triplet_blinking"), nm.preset("EGFP"), np.random.default_rng(1))
+    assert len({(s.form, s.start) for s in blinking}) == 4
+
+
+def test_an_effect_of_two_directions_is_found_in_the_other_one():
+    state, rng = toy_state(), np.random.default_rng(4)
+    one = np.zeros((3, 25))
+    one[:, 5:9] = 8.0
+    for kind, sign in (("laser_drift", -1), ("em_excess_noise", -1), ("laser_flicker", 0)):
+        effect = effect_class(kind)()
+        (lead,) = state.screen(rng.standard_normal((3, 25)) - 0.7 * one, {kind: [Ray(effect, one)]})[kind]
+        if sign:
+            assert lead.scale == -0.7 and lead.gain > 60
+            before, after = (getattr(e, effect.strength) - effect.null_value for e in (effect, lead.start()))
+            assert after == pytest.approx(-0.7 * before)
+        else:
+            assert lead.scale > 0 and lead.gain < 8  # no negative flicker
 
 
 def test_changed_effects_keep_their_limits():
