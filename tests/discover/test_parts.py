@@ -114,7 +114,7 @@ def test_every_form_has_a_strong_setting_and_choices_are_not_tied():
             assert strong > (0.15 if two_sided(effect) else 0.35), (
                 kind,
                 form,
-            )  # three forms share four settings, four share six
+            )  # four forms share five settings
     blinking = ray_settings(effect_class("triplet_blinking"), nm.preset("EGFP"), np.random.default_rng(1))
     assert len({(s.form, s.start) for s in blinking}) == 4
 
