@@ -245,18 +245,20 @@ def trusted(derivative: Array, variance: Array) -> Array:
 
 
 def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -> list[Effect]:
-    """Settings that span an effect's plausible range: strengths spread evenly, the strongest first, so that every form
-    has one from which the weaker ones follow; shapes at random, forms and other choices in turn."""
+    """Settings that span an effect's plausible range: strengths spread evenly, the strongest first, and the less of the
+    weak ones the fewer settings each form has, for weaker ones follow from a strong one; shapes at random, forms and
+    other choices in turn."""
     ranges, choices = effect.plausible(model), choice_fields(effect)
     n = RAYS + len(ranges) - 1
-    shares = [(i + 0.5) / n for i in range(n)]
+    weakest = max(0.0, 1 - n / (2 * len(effect.forms())))
     found = []
-    for i, u in enumerate(sorted(shares, key=lambda u: -abs(u - 0.5) if two_sided(effect) else -u)):
-        turn = i
+    for i in range(n):
+        share, turn = 1 - (1 - weakest) * (i + 0.5) / n, i
+        u = 0.5 + 0.5 * share * (-1) ** i if two_sided(effect) else share
         values: dict[str, Any] = {}
         for name, (low, high, log) in ranges.items():
-            share = u if name == effect.strength else rng.random()
-            values[name] = float(low * (high / low) ** share if log else low + (high - low) * share)
+            place = u if name == effect.strength else rng.random()
+            values[name] = float(low * (high / low) ** place if log else low + (high - low) * place)
         for name, options in choices.items():
             values[name] = options[turn % len(options)]
             turn //= len(options)
