@@ -68,9 +68,8 @@ def expose(
     from napari_mufasa.register import quantile_roots
 
     numbers = np.ascontiguousarray(frames, dtype=np.int64)
-    electrons = detect(
-        np.ascontiguousarray(expected, np.float32), excess, numbers, streams.key("detection"), quantile_roots()
-    )
+    table = quantile_roots() if excess == 2.0 else np.empty((0, 0), np.float32)
+    electrons = detect(np.ascontiguousarray(expected, np.float32), excess, numbers, streams.key("detection"), table)
     electrons = cmos_response(electrons, camera) if camera.type == "CMOS" else electrons * np.float32(_gain(camera))
     # 3 what happens to the charge on its way out
     for hook in hooks.amplified:

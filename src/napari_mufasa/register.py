@@ -59,15 +59,15 @@ def electrons_after_gain(mean, u, table, none, z, out):  # type: ignore[no-untyp
     exp_minus(mean, none)
     scores(u, none, z)
     for x in range(u.size):
-        z[x] = normal_quantile(max(z[x], 1e-300))
+        z[x] = normal_quantile(z[x] if z[x] > 1e-300 else 1e-300)  # also where 0/0 made it no number
     for x in range(u.size):
         if mean[x] > LAST_ROOT * LAST_ROOT:
             t = mean[x] - math.sqrt(mean[x] * mean[x] - mean[x])
             root = math.sqrt(mean[x] - t) + z[x] * math.sqrt(t)
         else:
-            across = (min(max(z[x], -LAST_SCORE), 0.999999 * LAST_SCORE) + LAST_SCORE) * (
-                0.5 * SCORE_CELLS / LAST_SCORE
-            )
+            score = z[x] if z[x] < LAST_SCORE else LAST_SCORE
+            score = score if score > -LAST_SCORE else -LAST_SCORE
+            across = (score + LAST_SCORE) * (0.4999999 * SCORE_CELLS / LAST_SCORE)
             along = min(math.sqrt(mean[x]), 0.999999 * LAST_ROOT) * (ROOT_CELLS / LAST_ROOT)
             i, j = np.int64(along), np.int64(across)
             a, b = along - i, across - j

@@ -26,7 +26,7 @@ _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
 _SALT = np.uint64(0xD1B54A32D192ED03)
 _INVERSE = np.concatenate(([0.0], 1.0 / np.arange(1, 201)))  # a division per step would double the cost
-_TO_UNIT = 1.0 / 9007199254740992.0  # 2⁻⁵³
+_TO_UNIT = 1.0 / 4503599627370496.0  # 2⁻⁵²: the largest uniform is below 1
 CELLS = 2048  # of the normal table, linear in between: within 3e-5 of the truth where it is used
 _TAIL = 0.02
 _NORMAL = special.ndtri(np.clip(np.arange(CELLS + 1) / CELLS, 1e-3, 1 - 1e-3)).astype(np.float32)
@@ -52,7 +52,7 @@ def stream(key, i, j):  # type: ignore[no-untyped-def]
 def uniform(state):  # type: ignore[no-untyped-def]
     """Uniform in the open interval (0, 1)."""
     state = state + _GOLDEN
-    return (np.float64(mix(state) >> np.uint64(11)) + 0.5) * _TO_UNIT, state
+    return (np.float64(mix(state) >> np.uint64(12)) + 0.5) * _TO_UNIT, state
 
 
 @jit
@@ -175,7 +175,7 @@ def uniforms(key, i, first, draw, out):  # type: ignore[no-untyped-def]
     base, ahead = mix(key + np.uint64(i) * _GOLDEN), np.uint64(draw) * _GOLDEN
     for x in range(out.size):
         bits = mix(mix(base + np.uint64(first + x) * _SALT) + ahead)
-        out[x] = (np.float64(np.int64(bits >> np.uint64(11))) + 0.5) * _TO_UNIT
+        out[x] = (np.float64(np.int64(bits >> np.uint64(12))) + 0.5) * _TO_UNIT
 
 
 @vectorised

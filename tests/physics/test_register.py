@@ -57,3 +57,11 @@ def test_a_little_more_light_gives_a_little_more_signal():
         lit = quantiles(mean, u) > 0
         assert change[lit].min() > -1e-3 * mean
         assert change[lit].max() < 0.02 * 5
+
+
+@pytest.mark.parametrize("mean", [0.0, 1e-300, 1e-9, 1e6])
+@pytest.mark.parametrize("u", [1e-300, 2.0**-53, 0.5, 1 - 2.0**-53])
+def test_the_ends_give_numbers(mean, u):
+    """Of the uniforms and of light."""
+    (x,) = quantiles(mean, np.array([u]))
+    assert np.isfinite(x) and x >= 0 and (mean > 0 or x == 0)
