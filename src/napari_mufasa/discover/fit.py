@@ -37,6 +37,7 @@ MOST_ROUNDS = 3
 HOPELESS = 0.5  # a start with less than this share of the evidence to beat is not fitted further
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
 SETTLING_SIMULATIONS = 20  # further simulations of an effect that enters the model
+SURELY_SOME = 2.0  # standard deviations that a strength must be away from none
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
 
@@ -49,6 +50,15 @@ class Fit:
     sd: dict[str, float]
     score: float
     misfit: float
+
+    @property
+    def is_some(self) -> bool:
+        """Whether there is any of the effect: its strength stands out from its uncertainty or, where only its size in
+        proportion is sure (a logarithmic scale), reaches the plausible range."""
+        name = self.effect.strength
+        low, _, log = self.effect.plausible(self.state.model)[name]
+        strength = abs(float(getattr(self.effect, name)) - self.effect.null_value)
+        return strength > SURELY_SOME * self.sd.get(name, 0.0) or (log and strength > low)
 
 
 def planned_simulations() -> int:

@@ -43,7 +43,6 @@ CONTESTED = 0.6  # effects with this share of the best evidence are contested: e
 FORM_WORTH = 0.2  # another form is fitted from this share of the evidence
 CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
 FORM_MISFIT = 0.05  # at the floor, with less misfit than chance leaves so often, other forms are not tried
-SURELY_SOME = 2.0  # standard deviations that a strength must be away from none
 TRIALS = 4  # simulations that tell which of two models is nearer
 FAR_OFF = 2.5  # an error of so many floors is far off: several things are missing
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
@@ -216,8 +215,8 @@ class Investigation:
         return lead > self.needed() or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
 
     def convincing(self, best: Candidate) -> bool:
-        """Does adding it lower the held-out error, with the evidence that is needed, and is there any of it?"""
-        if best.error_after is None or best.evidence <= self.needed() or _is_none(best):
+        """Does adding it lower the held-out error, with the evidence that is needed?"""
+        if best.error_after is None or best.evidence <= self.needed():
             return False
         return self.improves(self.state, best.error_after, best.evidence)
 
@@ -337,15 +336,23 @@ class Investigation:
     # Inside -------------------------------------------------------------------------------------------------
 
     def _fit_the_best(self, leads: dict[str, list[Lead]]) -> None:
-        """Fit the finalists; those that are contested in all their forms, close rivals with more simulations."""
-        finalists = self._finalists(leads)
-        self.bench.plan(len(finalists) * fit.planned_simulations())
-        for kind in finalists:
+        """Fit the finalists; those that are contested in all their forms, close rivals with more simulations.
+
+        A fit that ends at no strength does not count: what explains there is what moved beside it.
+        """
+        most = LATER_FINALISTS if self.fits else FINALISTS
+        self.bench.plan(most * fit.planned_simulations())
+        for kind in self._worth_a_fit(leads):
             to_beat = max(map(self._evidence, self._tried.values()), default=0.0)
             starts, promised = [lead.start() for lead in leads[kind]], leads[kind][0].gain
             tried = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
-            if tried is not None:
+            if tried is not None and tried.is_some:
                 self._tried[kind] = tried
+            most -= tried is None or tried.is_some
+            if most == 0:
+                break
+        if not self._tried:
+            return
         # With several things missing it matters little which comes first.
         far = all(self._far(tried.state) for tried in self._tried.values())
         contested = self._within(CLOSE if far else CONTESTED)
@@ -360,13 +367,13 @@ class Investigation:
         best = max(map(self._evidence, self._tried.values()))
         return [kind for kind, found in self._tried.items() if self._evidence(found) > share * best]
 
-    def _finalists(self, leads: dict[str, list[Lead]]) -> list[str]:
-        """The leads worth a fit: the best few, fewer where the first is far ahead or none can be convincing."""
+    def _worth_a_fit(self, leads: dict[str, list[Lead]]) -> list[str]:
+        """The leads worth a fit, best first; few where the first is far ahead or none can be convincing."""
         order = list(leads)
         gain = [leads[kind][0].gain for kind in order]
         if self.fits:
-            return [k for i, k in enumerate(order[:LATER_FINALISTS]) if i < 1 or gain[i] > PROMISING * self.needed()]
-        return [k for i, k in enumerate(order[:FINALISTS]) if i < 2 or gain[i] > 0.25 * max(gain[0], 1.0)]
+            return [k for i, k in enumerate(order) if i < 1 or gain[i] > PROMISING * self.needed()]
+        return [k for i, k in enumerate(order) if i < 2 or gain[i] > 0.25 * max(gain[0], 1.0)]
 
     def _evidence(self, found: Fit) -> float:
         """Twice the log likelihood ratio of a fit against the model as it stands."""
@@ -389,13 +396,6 @@ class Investigation:
     @property
     def seconds(self) -> float:
         return time.monotonic() - self._started
-
-
-def _is_none(candidate: Candidate) -> bool:
-    """Whether the fitted strength is no more than its uncertainty: what explains is then what moved beside it."""
-    kind = effect_class(candidate.effect)
-    sd = candidate.parameters_sd.get(kind.strength)
-    return sd is not None and abs(float(candidate.parameters[kind.strength]) - kind.null_value) < SURELY_SOME * sd
 
 
 def _known(kind: str) -> type[Effect]:

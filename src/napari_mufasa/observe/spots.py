@@ -100,7 +100,8 @@ def follow(
     size = 2 * half + 1
     inside = np.all((corner >= 0) & (corner + size <= [height, width]), axis=(1, 2))
     corner = np.clip(corner, 0, [max(height - size, 0), max(width - size, 0)])
-    weights = _weights(at - corner, size, sigma_px)  # (molecule, block, 6, size, size)
+    # A spot that the path takes out of the field is not `inside`; its weights need only be numbers.
+    weights = _weights(np.clip(at - corner, 0, size - 1), size, sigma_px)  # (molecule, block, 6, size, size)
     block_of = np.minimum(np.arange(n_frames) * len(blocks) // n_frames, len(blocks) - 1)
     values = _kernel()(movie, float(baseline_adu), corner, weights[:, :, :3].copy(), block_of) * scale
     patches = _patches((blocks - baseline_adu) * scale, corner, size)
