@@ -126,6 +126,21 @@ def test_derivatives_taken_anew_bring_nuisance_values_home():
     assert best.optics.brightness_correction == pytest.approx(light, rel=0.02)
 
 
+def test_an_effect_of_no_strength_is_none(library):
+    """Two standard deviations from none, or within the plausible range where strengths are known by their logarithm."""
+    bleaching, drift = effect_class("photobleaching"), effect_class("laser_drift")
+    low = bleaching.plausible(library.base.model)["rate_per_s"][0]
+
+    def some(effect, sd):
+        return fit.Fit(library.base, effect, {effect.strength: sd}, 0.0, 0.0).is_some
+
+    assert some(drift(change=-0.05), 0.01) and not some(drift(change=-0.05), 0.03)
+    assert some(bleaching(rate_per_s=3 * low), 2 * low)  # how fast is not known well, that it is there is
+    assert some(bleaching(rate_per_s=0.5 * low), 0.1 * low) and not some(bleaching(rate_per_s=0.5 * low), 0.4 * low)
+    excess = effect_class("em_excess_noise")
+    assert some(excess(excess_noise_factor=1.5), 0.1) and not some(excess(excess_noise_factor=2.1), 0.1)
+
+
 def test_what_is_read_off_is_not_fitted(library):
     library.bench.measured = types.SimpleNamespace(course=np.r_[np.zeros(30), np.ones(70)])
     drift = effect_class("laser_drift")

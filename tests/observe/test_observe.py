@@ -7,6 +7,8 @@ import napari_mufasa as nm
 from napari_mufasa.effects.illumination import IlluminationProfile
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
+from napari_mufasa.observe.pixels import block_means
+from napari_mufasa.observe.spots import follow
 from napari_mufasa.observe.summary import OnStates, _gap_lengths, _slope
 from napari_mufasa.observe.table import Table
 
@@ -106,3 +108,12 @@ def test_a_spot_on_the_edge_is_no_background():
     spots = observe(nm.simulate(model, places, seed=5).movie, model).spots
     near = _near_spots((96, 96), spots, 5.0)
     assert near[95, 40] and near[92, 40] and near[30, 0] and not near[60, 20]
+
+
+def test_a_spot_that_leaves_the_field_is_measured_as_far_as_it_goes():
+    """Far outside its patch a spot is zero in every pixel: nothing may be divided by that."""
+    movie = np.random.default_rng(2).poisson(100, (40, 32, 32)).astype(np.uint16)
+    path = np.linspace(0, 1, 10)[:, None] * [60.0, 0.0]  # out of the field and 30 px on
+    spots = follow(movie, block_means(movie, 10), 100.0, 1.0, 1.2, path, np.array([[16.0, 16.0]]), np.ones(1))
+    assert not spots.inside.any()
+    assert np.isfinite(spots.light).all() and np.isfinite(spots.shape).all()
