@@ -34,6 +34,7 @@ class SensorHooks:
     amplified: list[Hook] = field(default_factory=list)  # electrons after the gain, before read-out
     output: list[Hook] = field(default_factory=list)  # electrons with read noise, before the ADC
     excess_noise_factor: float | None = None  # F² of the multiplication; None: the camera's own (2 or 1)
+    nothing_lost: bool = False  # with F² < 2: every electron leaves the register with itself at least (low gain)
     memory_frames: int = 0  # how many earlier frames the `amplified` hooks need
 
 
@@ -68,8 +69,10 @@ def expose(
     from napari_mufasa.register import quantile_roots
 
     numbers = np.ascontiguousarray(frames, dtype=np.int64)
+    shape, kept = _multiplication_law(excess, hooks.nothing_lost)
     table = quantile_roots() if excess == 2.0 else np.empty((0, 0), np.float32)
-    electrons = detect(np.ascontiguousarray(expected, np.float32), excess, numbers, streams.key("detection"), table)
+    expected = np.ascontiguousarray(expected, np.float32)
+    electrons = detect(expected, shape, kept, numbers, streams.key("detection"), table)
     electrons = cmos_response(electrons, camera) if camera.type == "CMOS" else electrons * np.float32(_gain(camera))
     # 3 what happens to the charge on its way out
     for hook in hooks.amplified:
@@ -114,6 +117,13 @@ def photons(electrons: NDArray[np.floating], camera: Camera) -> Stack:
 def multiplication_noise(camera: Camera) -> float:
     """α of the photoelectron signal: variance/mean after division by the gain; 2 for an EMCCD, else 1."""
     return 2.0 if camera.type == "EMCCD" else 1.0
+
+
+def _multiplication_law(excess: float, nothing_lost: bool) -> tuple[float, float]:
+    """Shape of the Gamma law and share that is kept as it came, for an excess noise factor F² (see `detect`)."""
+    if nothing_lost and 1.0 < excess < 2.0:
+        return 1.0, 1.0 - float(np.sqrt(excess - 1.0))
+    return (1.0 / (excess - 1.0) if excess > 1.0 else 0.0), 0.0
 
 
 def read_noise_map_e(camera: Camera) -> Any:

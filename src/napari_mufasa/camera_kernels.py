@@ -15,17 +15,17 @@ from napari_mufasa.variates import gamma, jit, normal_quantile, poisson, poisson
 
 
 @jit
-def detect(expected, excess, frames, key, table):  # type: ignore[no-untyped-def]
-    """Photoelectrons times their multiplication noise of mean 1: an excess noise factor F² = 1 + 1/k makes
-    n electrons Gamma(shape k·n, scale 1/k); no electron in, none out. `table` is used for F² = 2 alone."""
+def detect(expected, shape, kept, frames, key, table):  # type: ignore[no-untyped-def]
+    """Photoelectrons times their multiplication noise of mean 1: n electrons become kept·n + (1 − kept)·Gamma(shape·n,
+    scale 1/shape), without noise where shape is 0; no electron in, none out. F² = 1 + (1 − kept)²/shape. `table` is
+    used for the ideal register alone (shape 1, kept 0)."""
     n_frames, height, width = expected.shape
     result = np.empty(expected.shape, dtype=np.float32)
-    shape = 1.0 / (excess - 1.0) if excess > 1.0 else 0.0
     u, mean, none, below, counts = np.empty(width), np.empty(width), np.empty(width), np.empty(width), np.empty(width)
     for f in range(n_frames):
         for y in range(height):
             uniforms(key, frames[f], y * width, 1, u)
-            if shape == 1.0:
+            if shape == 1.0 and kept == 0.0:
                 for x in range(width):
                     mean[x] = max(expected[f, y, x], 0.0)
                 electrons_after_gain(mean, u, table, none, below, result[f, y])
@@ -48,7 +48,7 @@ def detect(expected, excess, frames, key, table):  # type: ignore[no-untyped-def
                     result[f, y, x] = n
                 else:
                     amplified, _ = gamma(shape * n, stream(key + np.uint64(1), frames[f], y * width + x))
-                    result[f, y, x] = amplified / shape
+                    result[f, y, x] = kept * n + (1.0 - kept) * amplified / shape
     return result
 
 

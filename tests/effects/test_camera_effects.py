@@ -27,16 +27,32 @@ def dark(*effects, n_frames=100, shape=(40, 40), seed=1, **values):
     return simulate_dark(model.with_effects(*effects), n_frames, seed=seed).astype(float) - 100
 
 
+@pytest.mark.parametrize("form", ["gamma", "low_gain"])
 @pytest.mark.parametrize("factor", [1.0, 1.4, 3.0])
-def test_em_excess_noise_is_variance_over_mean(factor):
+def test_em_excess_noise_is_variance_over_mean(factor, form):
     model = plain(n_frames=100, shape=(40, 40), **{"camera.read_noise_e": 0.0})
-    model = model.with_effects(effect("em_excess_noise", excess_noise_factor=factor))
+    model = model.with_effects(effect("em_excess_noise", excess_noise_factor=factor, form=form))
     electrons = photoelectrons(simulate(model, EMPTY, seed=1).movie, model.camera).astype(float)
     mean = 0.9 * 20 + 0.002
     assert electrons.mean() == pytest.approx(mean, abs=4 * np.sqrt(factor * mean / electrons.size))
     fourth = np.mean((electrons - electrons.mean()) ** 4)
     error = np.sqrt((fourth - electrons.var() ** 2) / electrons.size) / mean
     assert electrons.var() / mean == pytest.approx(factor, abs=4 * error)
+
+
+def test_at_low_gain_every_electron_leaves_with_itself_at_least():
+    """A register of gain g in all makes of each electron 1 + an exponential of mean g − 1: F² = 1 + (1 − 1/g)²."""
+    g = 3.0
+    model = plain(n_frames=200, shape=(40, 40), **{
+        "camera.read_noise_e": 0.0, "camera.clock_induced_charge_e": 0.0, "camera.electrons_per_adu": 0.1,
+        "camera.em_gain": 1000, "optics.background_photons_per_px": 0.2 / 0.9,
+    })  # fmt: skip
+    model = model.with_effects(effect("em_excess_noise", excess_noise_factor=1 + (1 - 1 / g) ** 2, form="low_gain"))
+    electrons = photoelectrons(simulate(model, EMPTY, seed=1).movie, model.camera)
+    one = electrons[(electrons > 1e-3) & (electrons < 2 / g)]  # two electrons are never less than 2/g
+    assert one.min() >= 1 / g - 1e-3
+    law = stats.truncexpon(b=(1 / g) / (1 - 1 / g), loc=1 / g, scale=1 - 1 / g)
+    assert stats.kstest(one, law.cdf).pvalue > 1e-4
 
 
 def test_clock_induced_charge_adds_its_electrons_in_the_dark_too():
@@ -150,7 +166,7 @@ def test_saturation_bends_at_its_full_scale(form, light):
     n = np.arange(4000)
     p = stats.poisson.pmf(n, light)
     bent = {"hard": np.minimum(n, 200), "soft": n / (1 + n / 200), "rounded": 200 * np.tanh(n / 200)}[form]
-    counted = np.floor(bent)  # the converter counts whole ADU
+    counted = np.floor(bent.astype(np.float32))  # the converter counts whole ADU
     mean = (p * counted).sum()
     variance = (p * counted**2).sum() - mean**2
     assert electrons.mean() == pytest.approx(mean, abs=4 * np.sqrt((variance + 0.1) / electrons.size))

@@ -73,6 +73,7 @@ class EMExcessNoise(Effect):
         unit="",
         description="F² = variance/mean after division by the gain",
     )
+    form: Literal["gamma", "low_gain"] = "gamma"
 
     @classmethod
     def suits(cls, model: Any) -> bool:
@@ -80,6 +81,7 @@ class EMExcessNoise(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         scene.sensor.excess_noise_factor = self.excess_noise_factor
+        scene.sensor.nothing_lost = self.form == "low_gain"  # as far as F² < 2, which a low gain makes
 
 
 class ClockInducedCharge(Effect):
