@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -126,6 +127,17 @@ def test_staircase_shows_errors_floor_and_the_effects_that_lost():
     points = {tuple(np.round(line.get_ydata(), 2)) for line in ax.lines}
     assert (2.93, 1.04) in points and (0.98, 0.98) in points
     assert (1.31, 2.4, 2.7) in points  # not the effect that was chosen, not one without an error
+
+
+def test_staircase_tells_what_would_come_on_top_from_what_came_instead():
+    """After an effect was added, the ranking is that of the next one: its errors belong to the last step."""
+    first = report()
+    asked_again = replace(first, ranking=[c for c in first.ranking if c.effect not in first.chosen])
+    for which, told in ((first, "instead: "), (asked_again, "on top of it: ")):
+        with plotting.style("light"):
+            ax = plotting.figure(9, 4).add_subplot()
+            plotting.staircase(ax, which)
+        assert any(label.startswith(told) for label in ax.get_legend_handles_labels()[1])
 
 
 def test_evidence_marks_what_cannot_be_told_apart():

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 def staircase(ax: Axes, report: Report) -> None:
-    """The held-out error falling step by step to its floor; beside each step, the best wrong effects."""
+    """The held-out error falling step by step to its floor; beside it the best effects that were not added, instead of
+    the first one or, where the model as it stands was asked what it lacks, on top of the last."""
     p = palette()
     steps = [float(step["error"]) for step in report.history]
     names = ["base model", *("+ " + effect_title(str(step.get("added", ""))) for step in report.history[1:])]
@@ -33,11 +34,12 @@ def staircase(ax: Axes, report: Report) -> None:
         ax.annotate(f"{error:.2f}", (xi, error), (0, 7), textcoords="offset points", ha="center", va="bottom")
     wrong = [c for c in report.ranking if c.effect not in report.chosen and c.error_after is not None][:3]
     if wrong:
-        at = min(1, len(steps) - 1)
+        on_top = bool(report.chosen) and not any(c.effect in report.chosen for c in report.ranking)
+        at = len(steps) - 1 if on_top else min(1, len(steps) - 1)
         errors = [float(c.error_after or 0.0) for c in wrong]
-        label = (
-            "best other effects" if parts.fit(ax) < 60 else "instead: " + ", ".join(in_text(c.effect) for c in wrong)
-        )
+        names_of_them = ", ".join(in_text(c.effect) for c in wrong)
+        long, short = ("on top of it", "best further effects") if on_top else ("instead", "best other effects")
+        label = short if parts.fit(ax) < 60 else f"{long}: {names_of_them}"
         ax.plot([at + 0.22] * len(wrong), errors, "x", color=p.muted, ms=6, label=label)
     floor = report.error.get("floor")
     if floor is not None:
