@@ -278,6 +278,7 @@ def test_as_seen_follows_the_heights_it_is_given(kind):
     assert found.mean() == pytest.approx(20.0)
     np.testing.assert_allclose(background(**{strength: 0.0}), 20.0)
     np.testing.assert_array_equal(background(seen=()), background(form="linear"))
+    np.testing.assert_array_equal(background(seen_columns=4), background(seen=RELIEF[:4], seen_columns=9))  # one row
 
 
 def test_a_relief_is_seen_where_tiles_agree_and_only_there():

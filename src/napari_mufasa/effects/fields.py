@@ -44,7 +44,9 @@ def value_columns() -> Any:
 
 
 def relief(values: tuple[float, ...], columns: int, y: Array, x: Array, shape_px: tuple[int, int]) -> Array:
-    """Height at pixel coordinates: straight lines between the centres of the grid's cells, level beyond them."""
+    """Height at pixel coordinates: straight lines between the centres of the grid's cells, level beyond them;
+    a last row that is not full does not count."""
+    columns = min(columns, len(values))
     grid = np.reshape(values[: len(values) // columns * columns], (-1, columns))
     at = [(place + 0.5) / n * cells - 0.5 for place, n, cells in zip((y, x), shape_px, grid.shape, strict=True)]
     found: Array = ndimage.map_coordinates(grid, np.broadcast_arrays(*at), order=1, mode="nearest")
