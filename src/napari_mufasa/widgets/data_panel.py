@@ -9,9 +9,10 @@ from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QHBoxLayout, QLa
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import guarded
-from napari_mufasa.widgets.layers import resolution_um, room_for, shown_later, slim, unpainted
+from napari_mufasa.widgets.layers import resolution_um, slim
 from napari_mufasa.widgets.panel import MovieChooser, Panel
 from napari_mufasa.widgets.session import model_in, stack_of, stored
+from napari_mufasa.widgets.turns import gently, room_for, shown_later
 
 if TYPE_CHECKING:
     from napari.viewer import Viewer
@@ -105,7 +106,7 @@ class DataPanel(Panel):
         for data, options, _ in found:
             layer = Image(data, **(options | {"visible": False}))
             yield
-            with unpainted(self.viewer):
+            with gently(self.viewer):
                 added.append(self.viewer.add_layer(layer))
             if options.get("visible", True):
                 yield from shown_later(self.viewer, layer)

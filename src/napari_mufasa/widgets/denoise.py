@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Generator
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from napari_mufasa.denoise.pipeline import Method
 from napari_mufasa.widgets.denoise_preview import PreviewBox
 from napari_mufasa.widgets.layers import add_movie, like, slim
 from napari_mufasa.widgets.panel import MovieChooser, Panel
+from napari_mufasa.widgets.turns import shown_later
 
 METHODS: dict[str, Method] = {
     "PURE-LET, past and future frames": "pure-let-movie",
@@ -143,12 +145,15 @@ class DenoisePanel(Panel):
             )
             return lazily(result)
 
-        def done(photons: Any) -> None:
+        def done(photons: Any) -> Generator[None, None, None]:
             self.preview.switch.setChecked(False)
+            yield
             if residual:
                 taken = taken_away(measurement.movie, camera, photons)
                 add_movie(self.viewer, taken, f"{name}, taken away", space, role="photons", visible=False)
-            add_movie(self.viewer, photons, f"{name}, photons", space, role="photons")
+                yield
+            result = add_movie(self.viewer, photons, f"{name}, photons", space, role="photons", visible=False)
+            yield from shown_later(self.viewer, result)
             self.session.set_result("denoised", True)
             self.run_bar.say("Added: photons per pixel and frame.")
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from qtpy.QtCore import Qt
+from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QSlider, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import MufasaError
@@ -14,6 +14,7 @@ from napari_mufasa.io import METADATA_KEY
 from napari_mufasa.widgets.jobs import report_error
 from napari_mufasa.widgets.latest import Latest
 from napari_mufasa.widgets.layers import PLACE, like
+from napari_mufasa.widgets.turns import NEXT_TURN_MS, gently
 
 if TYPE_CHECKING:
     from napari_mufasa.denoise.pipeline import Method
@@ -34,6 +35,10 @@ class PreviewBox(QWidget):
         self._ready: tuple[Any, Preview] | None = None
         self._latest = Latest(WAIT_MS, self)
         self._latest.arrived.connect(self._on_arrived)
+        self._again = QTimer(self)
+        self._again.setSingleShot(True)
+        self._again.setInterval(NEXT_TURN_MS)
+        self._again.timeout.connect(self._show)
         self.switch = QCheckBox("Preview on this frame")
         self.switch.setToolTip("Denoises the frame in view, and each one you go to")
         self.split = QSlider(Qt.Orientation.Horizontal)
@@ -123,21 +128,25 @@ class PreviewBox(QWidget):
             return
         picture, taken = self.look.split(self.split.value() / 100), self.look.residual
         layers = self.session.viewer.layers
-        if SHOWN in layers and layers[SHOWN].data.shape == picture.shape:
-            layers[SHOWN].data = picture
-            layers[TAKEN].data = taken
-            return
         # Neither is ever offered as the movie, like the pictures of where a model fails.
         shared: dict[str, Any] = {key: tuple(value)[-2:] for key, value in like(layer).items()}
-        shared |= {"metadata": {METADATA_KEY: {"role": PLACE}}}
-        low, high = np.percentile(self.look.after, (0.5, 99.9))
-        spread = 3 * float(np.std(taken)) + 1e-6
-        for name, data, limits, visible in (
-            (TAKEN, taken, (-spread, spread), False),
-            (SHOWN, picture, (float(low), float(max(high, low + 1e-6))), True),
-        ):
+        shared |= {"metadata": {METADATA_KEY: {"role": PLACE}}, "colormap": "gray"}
+        for name, data in ((TAKEN, taken), (SHOWN, picture)):
+            if name in layers and layers[name].data.shape == data.shape:
+                layers[name].data = data
+                continue
             if name in layers:
                 layers.remove(name)
-            self.session.viewer.add_image(
-                data, name=name, colormap="gray", contrast_limits=limits, visible=visible, **shared
-            )
+            limits = self._contrast(name)
+            with gently(self.session.viewer):
+                self.session.viewer.add_image(data, name=name, contrast_limits=limits, visible=name == SHOWN, **shared)
+            self._again.start()  # the other one in the next turn
+            return
+
+    def _contrast(self, name: str) -> tuple[float, float]:
+        assert self.look is not None
+        if name == TAKEN:
+            spread = 3 * float(np.std(self.look.residual)) + 1e-6
+            return -spread, spread
+        low, high = np.percentile(self.look.after, (0.5, 99.9))
+        return float(low), float(max(high, low + 1e-6))

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Generator, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from qtpy.QtCore import QTimer, Signal  # type: ignore[attr-defined]
+from qtpy.QtCore import Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QComboBox, QWidget
 
 from napari_mufasa.io import METADATA_KEY
 from napari_mufasa.napari_io import contrast
 from napari_mufasa.widgets.session import stored
+from napari_mufasa.widgets.turns import gently
 
 if TYPE_CHECKING:
     from napari.layers import Image, Layer, Points
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 
     from napari_mufasa.model import Model
 
-UNPAINTED_MS = 5  # less than a run's parts are apart
 PLACE = "where the model fails"  # role of layers that show misfit: never a movie
 
 
@@ -102,7 +100,7 @@ def add_movie(viewer: Viewer, data: Any, name: str, space: dict[str, Any], model
     if "contrast_limits" not in options:
         # Of stored results one frame: each may cost a twentieth of a second, and the interface waits.
         options["contrast_limits"] = contrast(data if isinstance(data, np.ndarray) else data[:1])
-    with unpainted(viewer):
+    with gently(viewer):
         added: Any = viewer.add_image(data, name=name, metadata=metadata, **space, **options)
     return added
 
@@ -110,77 +108,12 @@ def add_movie(viewer: Viewer, data: Any, name: str, space: dict[str, Any], model
 def add_points(viewer: Viewer, positions_px: Any, features: Any, name: str, movie: Layer, **kwargs: Any) -> Points:
     """Molecules (y, x) in pixels as rings of about a PSF, on top of `movie`."""
     scale, units = tuple(movie.scale[-2:]), tuple(movie.units[-2:])
-    with unpainted(viewer):
+    with gently(viewer):
         points: Any = viewer.add_points(
             np.asarray(positions_px, dtype=float).reshape(-1, 2), features=features, name=name, scale=scale,
             translate=tuple(movie.translate[-2:]), units=units, **kwargs,
         )  # fmt: skip
     return points
-
-
-@contextlib.contextmanager
-def unpainted(viewer: Viewer) -> Iterator[None]:
-    """Put the window's next picture off until the interface had a turn for other things.
-
-    napari needs a tenth of a second to make a layer and, with software rendering, as long again to draw it first.
-    """
-    window: Any = getattr(getattr(viewer, "window", None), "_qt_window", None)
-    if window is None:  # a viewer without a window
-        yield
-        return
-
-    def paint() -> None:
-        with contextlib.suppress(RuntimeError):  # closed meanwhile
-            window.setUpdatesEnabled(True)
-
-    window.setUpdatesEnabled(False)
-    try:
-        yield
-    finally:
-        QTimer.singleShot(UNPAINTED_MS, paint)
-
-
-def room_for(viewer: Viewer, shape: tuple[int, ...], scale: Any = None) -> Generator[None, None, None]:
-    """Give an empty viewer the sliders of a first layer before it comes; napari would make all in one go."""
-    if len(viewer.layers) or viewer.dims.ndim >= len(shape):
-        return
-    with unpainted(viewer):
-        viewer.dims.ndim = len(shape)
-    yield
-    steps = scale if scale is not None else (1,) * len(shape)
-    with unpainted(viewer):
-        viewer.dims.range = tuple((0, (n - 1) * float(step), float(step)) for n, step in zip(shape, steps, strict=True))
-    yield
-
-
-def shown_later(viewer: Viewer, layer: Layer) -> Generator[None, None, None]:
-    """Draw a layer that was added hidden, once the window has drawn what came with it, and its parts in turns.
-
-    The first picture of a part builds its shader: the two kinds of markers of a Points layer in one picture take
-    longer than anything else that the interface does.
-    """
-    yield
-    parts = _drawn_parts(viewer, layer)
-    for part in parts:
-        part.visible = False
-    layer.visible = True
-    try:
-        for part in parts:
-            part.visible = True
-            yield
-        yield
-    finally:  # also when the run is dropped half-way
-        for part in parts:
-            part.visible = True
-
-
-def _drawn_parts(viewer: Viewer, layer: Layer) -> list[Any]:
-    """What vispy draws of a layer; nothing when there is no window or napari keeps it elsewhere."""
-    with contextlib.suppress(AttributeError, KeyError):
-        window: Any = viewer.window._qt_viewer
-        node = window.canvas.layer_to_visual[layer].node
-        return [part for part in node._subvisuals if part.visible]
-    return []
 
 
 def resolution_um(layer: Layer) -> float | None:

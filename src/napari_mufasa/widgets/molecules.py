@@ -12,10 +12,11 @@ from qtpy.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QFileDialog, QF
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import guarded
-from napari_mufasa.widgets.layers import add_points, shown_later, slim
+from napari_mufasa.widgets.layers import add_points, slim
 from napari_mufasa.widgets.panel import MovieChooser, Panel, takes_the_rest
 from napari_mufasa.widgets.plot import PlotCanvas
 from napari_mufasa.widgets.preferences import preference
+from napari_mufasa.widgets.turns import shown_later
 
 if TYPE_CHECKING:
     import pandas as pd

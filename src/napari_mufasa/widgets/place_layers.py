@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_mufasa.io import METADATA_KEY
-from napari_mufasa.widgets.layers import PLACE, add_movie, unpainted
+from napari_mufasa.widgets.layers import PLACE, add_movie
 from napari_mufasa.widgets.places import MOLECULE_WORDS, WORDS, Places, place_of
+from napari_mufasa.widgets.turns import gently
 
 if TYPE_CHECKING:
     from napari.layers import Image, Points
@@ -107,7 +108,7 @@ class PlaceLayers:
         }
         layer = self.map
         if layer is None:
-            with unpainted(self.viewer):
+            with gently(self.viewer):
                 layer = self._layers["map"] = self.viewer.add_image(
                     z, **space, units=movie.units, colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN),
                     metadata={METADATA_KEY: {"role": PLACE}},
@@ -140,7 +141,7 @@ class PlaceLayers:
         name = f"where: {MOLECULE_WORDS[number]}"
         layer, positions = self.molecules, table[["y_px", "x_px"]].to_numpy(float)
         if layer is None:
-            with unpainted(self.viewer):
+            with gently(self.viewer):
                 layer = self._layers["molecules"] = self.viewer.add_points(
                     positions, name=name, scale=tuple(movie.scale[-2:]),
                     units=tuple(movie.units[-2:]), translate=tuple(movie.translate[-2:]), opacity=0.8,

@@ -8,10 +8,11 @@ from typing import Any
 from qtpy.QtWidgets import QCheckBox, QComboBox, QFormLayout, QSpinBox
 
 from napari_mufasa.napari_io import movie_space
-from napari_mufasa.widgets.layers import add_movie, add_points, room_for
+from napari_mufasa.widgets.layers import add_movie, add_points
 from napari_mufasa.widgets.model_panel import DerivedValues, ModelSource, PartEditor, section
 from napari_mufasa.widgets.panel import Panel
 from napari_mufasa.widgets.preferences import preference
+from napari_mufasa.widgets.turns import room_for, shown_later
 
 
 class SimulatePanel(Panel):
@@ -74,7 +75,8 @@ class SimulatePanel(Panel):
                 role="photons", visible=False,
             )  # fmt: skip
             yield
-        movie = add_movie(self.viewer, result.movie, name, space, model, result.seed)
+        movie = add_movie(self.viewer, result.movie, name, space, model, result.seed, visible=False)
+        yield from shown_later(self.viewer, movie)
         self.session.set_movie(movie)
         self.viewer.dims.set_point(0, 0)
         yield

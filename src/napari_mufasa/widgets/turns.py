@@ -1,0 +1,139 @@
+"""napari makes a layer in one call of a fifth of a second; here it is done in turns, while the interface lives on."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator, Iterator
+from typing import TYPE_CHECKING, Any
+from weakref import ref
+
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QFrame
+
+if TYPE_CHECKING:
+    from napari.layers import Layer
+    from napari.viewer import Viewer
+
+NEXT_TURN_MS = 5  # less than a run's parts are apart
+
+
+@contextlib.contextmanager
+def gently(viewer: Viewer) -> Iterator[None]:
+    """Add layers here: their controls, and the window's next picture, are made when the interface had its turn.
+
+    Of napari's call a half goes to what draws the layer, a third to its controls; with software rendering the first
+    picture takes as long again.
+    """
+    window: Any = getattr(getattr(viewer, "window", None), "_qt_window", None)
+    if window is None:  # a viewer without a window
+        yield
+        return
+    rest = _Rest(window)
+    window.setUpdatesEnabled(False)
+    try:
+        with rest.instead_of_controls(viewer.layers.events.inserted):
+            yield
+    finally:
+        rest.in_next_turn()
+
+
+class _Rest:
+    """What is left to do after layers were added: until it is done, empty frames stand in for their controls.
+
+    Leaves the controls to napari where they are kept elsewhere than in versions 0.6 to 0.9.
+    """
+
+    def __init__(self, window: Any) -> None:
+        self._window = ref(window)  # a timer must not keep what is closed
+        self._waiting: list[tuple[Any, QFrame]] = []  # the event of a layer's insertion, and its stand-in
+
+    @property
+    def _controls(self) -> Any:
+        return getattr(getattr(self._window(), "_qt_viewer", None), "controls", None)
+
+    @contextlib.contextmanager
+    def instead_of_controls(self, inserted: Any) -> Iterator[None]:
+        controls = self._controls
+        if not all(hasattr(controls, name) for name in ("_add", "widgets")):
+            yield
+            return
+        inserted.connect(self._stand_in)
+        try:
+            with inserted.blocker(controls._add):
+                yield
+        finally:
+            inserted.disconnect(self._stand_in)
+
+    def _stand_in(self, event: Any) -> None:
+        frame, controls = QFrame(), self._controls
+        controls.addWidget(frame)
+        controls.widgets[event.value] = frame
+        self._waiting.append((event, frame))
+
+    def in_next_turn(self) -> None:
+        QTimer.singleShot(NEXT_TURN_MS, lambda: self._go_on())  # Qt would hold the method alone weakly
+
+    def _go_on(self) -> None:
+        """The controls of one layer each turn, then the picture."""
+        window = self._window()
+        with contextlib.suppress(RuntimeError):  # closed meanwhile
+            if window is not None and self._waiting:
+                self._replace(*self._waiting.pop(0))
+                self.in_next_turn()
+            elif window is not None:
+                window.setUpdatesEnabled(True)
+
+    def _replace(self, event: Any, frame: QFrame) -> None:
+        layer, controls = event.value, self._controls
+        if controls.widgets.get(layer) is not frame:  # the layer was taken out meanwhile
+            return
+        shown = controls.currentWidget() is frame
+        del controls.widgets[layer]
+        controls._add(event)
+        if shown:
+            controls.setCurrentWidget(controls.widgets[layer])
+        controls.removeWidget(frame)
+        frame.deleteLater()
+
+
+def room_for(viewer: Viewer, shape: tuple[int, ...], scale: Any = None) -> Generator[None, None, None]:
+    """Give an empty viewer the sliders of a first layer before it comes; napari would make all in one go."""
+    if len(viewer.layers) or viewer.dims.ndim >= len(shape):
+        return
+    with gently(viewer):
+        viewer.dims.ndim = len(shape)
+    yield
+    steps = scale if scale is not None else (1,) * len(shape)
+    with gently(viewer):
+        viewer.dims.range = tuple((0, (n - 1) * float(step), float(step)) for n, step in zip(shape, steps, strict=True))
+    yield
+
+
+def shown_later(viewer: Viewer, layer: Layer) -> Generator[None, None, None]:
+    """Draw a layer that was added hidden, once the window has drawn what came with it, and its parts in turns.
+
+    The first picture of a part builds its shader: the two kinds of markers of a Points layer in one picture take
+    longer than anything else that the interface does.
+    """
+    yield
+    parts = _drawn_parts(viewer, layer)
+    for part in parts:
+        part.visible = False
+    layer.visible = True
+    try:
+        for part in parts:
+            part.visible = True
+            yield
+        yield
+    finally:  # also when the run is dropped half-way
+        for part in parts:
+            part.visible = True
+
+
+def _drawn_parts(viewer: Viewer, layer: Layer) -> list[Any]:
+    """What vispy draws of a layer; nothing when there is no window or napari keeps it elsewhere."""
+    with contextlib.suppress(AttributeError, KeyError):
+        window: Any = viewer.window._qt_viewer
+        node = window.canvas.layer_to_visual[layer].node
+        return [part for part in node._subvisuals if part.visible]
+    return []
