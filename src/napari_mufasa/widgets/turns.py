@@ -112,22 +112,23 @@ def room_for(viewer: Viewer, shape: tuple[int, ...], scale: Any = None) -> Gener
 def shown_later(viewer: Viewer, layer: Layer) -> Generator[None, None, None]:
     """Draw a layer that was added hidden, once the window has drawn what came with it, and its parts in turns.
 
-    The first picture of a part builds its shader: the two kinds of markers of a Points layer in one picture take
-    longer than anything else that the interface does.
+    napari reads the frame in view first. The first picture of a part builds its shader: the two kinds of markers of a
+    Points layer in one picture take longer than anything else that the interface does.
     """
     yield
     parts = _drawn_parts(viewer, layer)
+    layer.visible = True
     for part in parts:
         part.visible = False
-    layer.visible = True
     try:
+        yield
         for part in parts:
-            part.visible = True
+            part.visible = layer.visible
             yield
         yield
     finally:  # also when the run is dropped half-way
         for part in parts:
-            part.visible = True
+            part.visible = layer.visible
 
 
 def _drawn_parts(viewer: Viewer, layer: Layer) -> list[Any]:
@@ -135,5 +136,5 @@ def _drawn_parts(viewer: Viewer, layer: Layer) -> list[Any]:
     with contextlib.suppress(AttributeError, KeyError):
         window: Any = viewer.window._qt_viewer
         node = window.canvas.layer_to_visual[layer].node
-        return [part for part in node._subvisuals if part.visible]
+        return [part for part in getattr(node, "_subvisuals", ()) if part.visible] or [node]
     return []
