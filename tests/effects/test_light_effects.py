@@ -227,8 +227,11 @@ def test_light_that_wanders_follows_the_course_it_is_given():
     light = scene_of(plain(n_frames=401).with_effects(added)).light
     at = ((np.arange(4) + 0.5) / 4 * 400).astype(int)
     np.testing.assert_allclose(light[at], 1 + 0.4 * np.array(seen), atol=1e-12)
-    other = effect("laser_drift", change=-0.4, form="wandering", course=seen)  # the course has the sign
+    upside_down = tuple(-value for value in seen)  # `change` is where the course is farthest from 0, with its sign
+    other = effect("laser_drift", change=0.4, form="wandering", course=upside_down)
     np.testing.assert_array_equal(scene_of(plain(n_frames=401).with_effects(other)).light, light)
+    falling = effect("laser_drift", change=-0.4, form="wandering", course=seen)
+    np.testing.assert_allclose(scene_of(plain(n_frames=401).with_effects(falling)).light, 2 - light, atol=1e-12)
 
 
 def test_a_course_is_seen_where_readings_agree_and_only_there():

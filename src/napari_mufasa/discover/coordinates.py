@@ -58,7 +58,14 @@ class Coordinate:
 
     def sd(self, effect: Effect, sd: float) -> float:
         """A standard deviation of the coordinate in the parameter's own unit."""
-        return sd * (abs(float(getattr(effect, self.name))) if self.log else self.unit)
+        return sd * self._unit_at(effect)
+
+    def steps(self, effect: Effect, sd: float) -> float:
+        """A standard deviation of the parameter in the coordinate's unit."""
+        return sd / self._unit_at(effect)
+
+    def _unit_at(self, effect: Effect) -> float:
+        return abs(float(getattr(effect, self.name))) if self.log else self.unit
 
 
 def moved(model: Model, values: list[nuisance.Nuisance], free: Sequence[str], moves: Array) -> Model:

@@ -27,16 +27,19 @@ from napari_mufasa.discover.library import (
 )
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.effects import Effect
+from napari_mufasa.model import Model
 
 Array = NDArray[np.float64]
 LADDER = 2.2  # factor between the strengths tried first
 SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
 ROUND_SIMULATIONS = 9
 WIDE, NARROW = 0.45, 0.2  # spread of the parameters in a round (log units or quarters of the range)
+REACH = 2.5  # prior width of an effect's parameters in spreads of the simulations around it
 MOST_ROUNDS = 3
 HOPELESS = 0.5  # a start with less than this share of the evidence to beat is not fitted further
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
-SETTLING_SIMULATIONS = 20  # further simulations of an effect that enters the model
+SETTLING_SIMULATIONS = 24  # around an effect that enters the model …
+FAR = 2.5  # … so many standard deviations of each parameter away
 SURELY_SOME = 2.0  # standard deviations that a strength must be away from none
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
@@ -162,7 +165,7 @@ def _linearised(
         mean=library.base.mean + centre,
         spread=np.sqrt(library.base.spread**2 + (wild**2).sum(axis=0) / (ROUND_SIMULATIONS + PRIOR_SIMULATIONS)),
         slopes=np.concatenate([state.slopes, slopes], axis=2),
-        prior=np.concatenate([state.prior, np.full(n, 2.5 * width)]),
+        prior=np.concatenate([state.prior, np.full(n, REACH * width)]),
     )
 
 
@@ -174,51 +177,80 @@ def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
     return _judged(library, local, rows, x, n_effect)
 
 
-def settle(library: Library, found: Fit, x: Array) -> Fit:
-    """The fit judged by more simulations, as suits one that enters the model or has a close rival."""
-    if len(found.state.check) > CHECK_SIMULATIONS:
+def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
+    """The fit judged by more simulations, as suits one that enters the model or has a close rival.
+
+    Its effect is moved to its best, and simulated with parameters as far to either side as they are uncertain: few
+    simulations close by cannot tell a small change from their noise. `anew`: all free values are moved, and the
+    derivatives of the others taken again there; where an effect changes what brightness or background do, the base
+    model's derivatives lead astray.
+    """
+    if len(found.state.check) > CHECK_SIMULATIONS and not anew:
         return found
-    more = library.bench.rows([(found.state.model, k) for k in range(SETTLING_SIMULATIONS)])
-    rows = np.concatenate([found.state.check[:CHECK_SIMULATIONS], more])
-    return _judged(library, found.state, rows, x, n_effect(found))
+    local, n = found.state, n_effect(found)
+    others = len(local.free) - n
+    best = local.profiled(x).moves
+    if not anew:
+        best[:others] = 0.0
+    model = moved(local.model, library.nuisances, local.free, best)
+    local = replace(local, model=model)
+
+    def around(by: Array) -> Model:
+        return moved(model, library.nuisances, local.free, by)
+
+    uncertain = [c.steps(found.effect, found.sd[c.name]) for c in _own_coordinates(found)]
+    widths = np.clip(FAR * np.array(uncertain), NARROW, WIDE)
+    rng = np.random.default_rng([library.bench.seed, SETTLING_SIMULATIONS])
+    offsets = np.zeros((CHECK_SIMULATIONS + SETTLING_SIMULATIONS, len(local.free)))
+    offsets[CHECK_SIMULATIONS:, others:] = _design(SETTLING_SIMULATIONS, n, widths, rng)
+    numbers = [CHECK_SEED + k for k in range(CHECK_SIMULATIONS)] + list(range(SETTLING_SIMULATIONS))
+    rows = library.bench.rows([(around(by), k) for by, k in zip(offsets, numbers, strict=True)])
+    _, slopes = _regress(offsets[:, others:], rows - _base_rows(library, len(rows)))
+    rows = rows - np.einsum("kd,pod->kpo", offsets[:, others:], slopes)  # as if all were made at the best
+    fixed = local.slopes[:, :, :others]
+    if anew and others:
+        steps = free_steps(model, library.nuisances, local.free)[:others]
+        fixed = derivatives(library.bench, lambda by: around(np.pad(by, (0, n))), steps, rows[CHECK_SIMULATIONS:])
+    prior = np.concatenate([local.prior[:others], REACH * widths])
+    return _judged(library, replace(local, slopes=np.concatenate([fixed, slopes], axis=2), prior=prior), rows, x, n)
 
 
 def n_effect(found: Fit) -> int:
     """How many of the free values are parameters of the effect fitted last."""
-    return sum(path.startswith(f"{found.effect.kind}.") for path in found.state.free)
+    return len(_own_coordinates(found))
 
 
-def centred(library: Library, found: Fit, x: Array) -> Fit:
-    """The fit with all free values moved to their best and derivatives taken anew there, judged as settled: where an
-    effect changes what brightness or background do, the base model's derivatives lead astray."""
-    local = found.state
-    model = moved(local.model, library.nuisances, local.free, local.profiled(x).moves)
-    rows = library.bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    rows = np.concatenate([rows, library.bench.rows([(model, k) for k in range(SETTLING_SIMULATIONS)])])
-    steps = free_steps(model, library.nuisances, local.free)
-    slopes = derivatives(
-        library.bench, lambda by: moved(model, library.nuisances, local.free, by), steps, rows[CHECK_SIMULATIONS:]
-    )
-    return _judged(library, replace(local, model=model, slopes=slopes), rows, x, n_effect(found))
+def _own_coordinates(found: Fit) -> list[Coordinate]:
+    """The free parameters of the effect fitted last."""
+    prefix = f"{found.effect.kind}."
+    return [c for c in Coordinate.of(found.effect, found.state.model) if prefix + c.name in found.state.free]
+
+
+def _base_rows(library: Library, n: int) -> Array:
+    """The base model's first n simulations, its check simulations first: what fits are paired with."""
+    return np.concatenate([library.base.check, library.rows])[:n]
 
 
 def _judged(library: Library, local: State, rows: Array, x: Array, n_effect: int) -> Fit:
     """The fit by simulations of its model, numbered as the base model's check simulations and then as its others."""
     pooled = len(rows) > CHECK_SIMULATIONS
     # Paired with the base model's simulations of the same seeds: the mean is as precise as the base's.
-    change = rows - np.concatenate([library.base.check, library.rows])[: len(rows)]
+    change = rows - _base_rows(library, len(rows))
     local = replace(local, check=rows)
     everyone = np.ones(len(rows), dtype=bool)
     state = _of_simulations(library, local, rows, change, everyone, pooled)
-    errors = []
+    errors, misfits = [], []
     for i in range(len(rows)):
         others = everyone.copy()
         others[i] = False
-        errors.append(_of_simulations(library, state, rows, change, others, pooled).held_out_error(rows[i]))
+        unaware = _of_simulations(library, state, rows, change, others, pooled)
+        errors.append(unaware.held_out_error(rows[i]))
+        misfits.append(unaware.misfit(rows[i]))
     state = replace(state, floor=float(np.median(errors)))
     effect = moved(state.model, library.nuisances, state.free, state.profiled(x).moves).effects[-1]
     misfit = state.misfit(x)
-    return Fit(state, effect, _uncertainty(state, n_effect, misfit, effect), state.score(x), misfit)
+    excess = max(1.0, misfit / float(np.median(misfits)))
+    return Fit(state, effect, _uncertainty(state, n_effect, excess, effect), state.score(x), misfit)
 
 
 def _of_simulations(
@@ -237,13 +269,12 @@ def _of_simulations(
     return replace(local, mean=base.mean + change[use].mean(axis=0), spread=spread, whiten=whiten)
 
 
-def _uncertainty(state: State, n_effect: int, misfit: float, effect: Effect) -> dict[str, float]:
+def _uncertainty(state: State, n_effect: int, excess: float, effect: Effect) -> dict[str, float]:
     """Standard deviations of the effect's parameters: noise of the measurement and of the simulations."""
     n = len(state.prior) - n_effect
     slope = state.whiten[0] @ (state.slopes[0] / state.spread[0][:, None])
     loose = np.concatenate([state.prior[:n], np.full(n_effect, 3.0)])
     covariance = np.linalg.inv(slope.T @ slope + np.diag(1 / loose**2))
-    excess = max(1.0, misfit / float(np.median([state.misfit(row) for row in state.check])))
     # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter. Misfit
     # beyond that of simulations widens either (Birge's ratio): the model is not quite what made the measurement.
     scatter = np.std([state.profiled(row).moves[n:] for row in state.check], axis=0, ddof=1)
@@ -259,7 +290,7 @@ def _uncertainty(state: State, n_effect: int, misfit: float, effect: Effect) -> 
     return named
 
 
-def _design(n: int, dimensions: int, width: float, rng: np.random.Generator) -> Array:
+def _design(n: int, dimensions: int, width: float | Array, rng: np.random.Generator) -> Array:
     """Settings around the centre (n, dimensions): balanced, uncorrelated signs, first one at the centre."""
     if dimensions == 0:
         return np.zeros((n, 0))

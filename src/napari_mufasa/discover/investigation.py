@@ -274,7 +274,7 @@ class Investigation:
         found = fit.settle(self.library, found, self.x)
         if found.state.held_out_error(self.x) <= AT_FLOOR * found.state.floor:
             return found
-        return min(found, fit.centred(self.library, found, self.x), key=lambda f: f.score)
+        return min(found, fit.settle(self.library, found, self.x, anew=True), key=lambda f: f.score)
 
     def _best_form(self, found: Fit) -> Fit:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""
@@ -289,7 +289,15 @@ class Investigation:
         self.bench.plan(len(others) * fit.planned_simulations())
         least = FORM_WORTH / fit.HOPELESS * self._evidence(found)
         tries = [fit.refine_if_promising(self.library, self.state, lead.start(), self.x, least) for lead in others]
-        return min([found, *filter(None, tries)], key=lambda f: f.score)
+        return self._closest([found, *filter(None, tries)])
+
+    def _closest(self, fits: Sequence[Fit]) -> Fit:
+        """The best of several fits; those that come close to it are judged by more simulations first."""
+        bar = CLOSE * max(self._evidence(found) for found in fits)
+        close = [found for found in fits if self._evidence(found) > bar] or fits
+        if len(close) > 1:
+            close = [fit.settle(self.library, found, self.x) for found in close]
+        return min(close, key=lambda found: found.score)
 
     def simplify(self) -> None:
         """Take the first of two effects out again where the second one alone explains as much: a greedy first

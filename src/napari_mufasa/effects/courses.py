@@ -47,16 +47,18 @@ def drifted(
     size: float, form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float, step_frames: float,
     seen: tuple[float, ...],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """`size` times the course of what drifts; a course that was seen brings its own sign."""
+    """`size` times the course of what drifts; of a course that was seen, `size` is where it is farthest from 0."""
     path = course(form, progress, rng, step_at, step_frames, seen)
-    return path * (abs(size) if form == "wandering" and seen else size)
+    if form == "wandering" and seen:
+        path = path * np.sign(max(seen, key=abs))
+    return path * size
 
 
 def seen_path(forms: tuple[str, ...] = ("wandering",)) -> Any:
     """The field `course` of effects that may wander, in all or some of their forms."""
     return Field(
         (),
-        description="values at equal times, 0 first, ±1 at most, with the sign of the change; () at random",
+        description="values at equal times, 0 first, ±1 at most; () at random",
         json_schema_extra={"forms": list(forms)},
     )
 

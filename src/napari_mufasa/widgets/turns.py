@@ -11,6 +11,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFrame
 
 if TYPE_CHECKING:
+    from napari.components import LayerList
     from napari.layers import Layer
     from napari.viewer import Viewer
 
@@ -31,7 +32,7 @@ def gently(viewer: Viewer) -> Iterator[None]:
     rest = _Rest(window)
     window.setUpdatesEnabled(False)
     try:
-        with rest.instead_of_controls(viewer.layers.events.inserted):
+        with rest.instead_of_controls(viewer.layers):
             yield
     finally:
         rest.in_next_turn()
@@ -52,14 +53,14 @@ class _Rest:
         return getattr(getattr(self._window(), "_qt_viewer", None), "controls", None)
 
     @contextlib.contextmanager
-    def instead_of_controls(self, inserted: Any) -> Iterator[None]:
-        controls = self._controls
-        if not all(hasattr(controls, name) for name in ("_add", "widgets")):
+    def instead_of_controls(self, layers: LayerList) -> Iterator[None]:
+        controls, inserted = self._controls, layers.events.inserted
+        if not all(hasattr(controls, name) for name in ("_add", "_populate", "widgets")):
             yield
             return
         inserted.connect(self._stand_in)
         try:
-            with inserted.blocker(controls._add):
+            with inserted.blocker(controls._add), layers.selection.events.changed.blocker(controls._populate):
                 yield
         finally:
             inserted.disconnect(self._stand_in)
@@ -87,11 +88,9 @@ class _Rest:
         layer, controls = event.value, self._controls
         if controls.widgets.get(layer) is not frame:  # the layer was taken out meanwhile
             return
-        shown = controls.currentWidget() is frame
         del controls.widgets[layer]
         controls._add(event)
-        if shown:
-            controls.setCurrentWidget(controls.widgets[layer])
+        controls._populate()
         controls.removeWidget(frame)
         frame.deleteLater()
 
