@@ -105,15 +105,14 @@ def add_movie(viewer: Viewer, data: Any, name: str, space: dict[str, Any], model
     return added
 
 
-def add_points(viewer: Viewer, positions_px: Any, features: Any, name: str, movie: Layer, **kwargs: Any) -> Points:
-    """Molecules (y, x) in pixels as rings of about a PSF, on top of `movie`."""
+def points_on(movie: Layer, positions_px: Any, features: Any, name: str, **kwargs: Any) -> Points:
+    """A layer of molecules (y, x) in pixels as rings of about a PSF, to lie on top of `movie`; not added yet."""
+    from napari.layers import Points
+
     scale, units = tuple(movie.scale[-2:]), tuple(movie.units[-2:])
-    with gently(viewer):
-        points: Any = viewer.add_points(
-            np.asarray(positions_px, dtype=float).reshape(-1, 2), features=features, name=name, scale=scale,
-            translate=tuple(movie.translate[-2:]), units=units, **kwargs,
-        )  # fmt: skip
-    return points
+    positions = np.asarray(positions_px, dtype=float).reshape(-1, 2)
+    where: dict[str, Any] = {"scale": scale, "translate": tuple(movie.translate[-2:]), "units": units}
+    return Points(positions, features=features, name=name, **where, **kwargs)
 
 
 def resolution_um(layer: Layer) -> float | None:

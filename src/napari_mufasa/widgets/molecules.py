@@ -12,11 +12,11 @@ from qtpy.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QFileDialog, QF
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.jobs import guarded
-from napari_mufasa.widgets.layers import add_points, slim
+from napari_mufasa.widgets.layers import points_on, slim
 from napari_mufasa.widgets.panel import MovieChooser, Panel, takes_the_rest
 from napari_mufasa.widgets.plot import PlotCanvas
 from napari_mufasa.widgets.preferences import preference
-from napari_mufasa.widgets.turns import shown_later
+from napari_mufasa.widgets.turns import gently, shown_later
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -126,11 +126,14 @@ class MoleculesPanel(Panel):
         table = traces.molecules
         kept = int(table["kept"].sum())
         self.run_bar.say(f"{kept} molecules kept of {len(table)} candidates.")
-        points = self.points = add_points(
-            self.viewer, traces.positions_px, _features(table), f"{name}, molecules", layer,
+        points = self.points = points_on(
+            layer, traces.positions_px, _features(table), f"{name}, molecules",
             size=max(4.0, 5 * traces.sigma_px), face_color="transparent", border_width=0.07,
             border_color=_colours(table), symbol="disc", visible=False,
         )  # fmt: skip
+        yield
+        with gently(self.viewer):
+            self.viewer.add_layer(points)
         self._sets[points] = traces
         points.selected_data.events.items_changed.connect(self._on_selection)
         points.mouse_drag_callbacks.append(self._on_click)

@@ -8,11 +8,11 @@ from typing import Any
 from qtpy.QtWidgets import QCheckBox, QComboBox, QFormLayout, QSpinBox
 
 from napari_mufasa.napari_io import movie_space
-from napari_mufasa.widgets.layers import add_movie, add_points
+from napari_mufasa.widgets.layers import add_movie, points_on
 from napari_mufasa.widgets.model_panel import DerivedValues, ModelSource, PartEditor, section
 from napari_mufasa.widgets.panel import Panel
 from napari_mufasa.widgets.preferences import preference
-from napari_mufasa.widgets.turns import room_for, shown_later
+from napari_mufasa.widgets.turns import gently, room_for, shown_later
 
 
 class SimulatePanel(Panel):
@@ -84,10 +84,12 @@ class SimulatePanel(Panel):
             import pandas as pd
 
             photons = pd.DataFrame({"photons": result.emission[: len(result.positions_px)].sum(axis=1)})
-            add_points(
-                self.viewer, result.positions_px, photons, f"{name}, true positions", movie,
+            points = points_on(
+                movie, result.positions_px, photons, f"{name}, true positions",
                 size=6, border_width=0.12, face_color="transparent", border_color="#5ec4ff", visible=False,
             )  # fmt: skip
+            with gently(self.viewer):
+                self.viewer.add_layer(points)
             if movie in self.viewer.layers:
                 self.viewer.layers.selection.active = movie
             yield
