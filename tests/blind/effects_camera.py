@@ -110,7 +110,13 @@ def hot_pixels(world: World, s: float, form: int, rng: Rng) -> Found:
         world.camera.hot_switching = (0.05, 0.05)
         found = {"switching_per_frame": 0.05}
     mean_e = float(charge[hot].mean()) if hot.any() else 0.0
-    return {"fraction": fraction, "n_pixels": int(hot.sum()), "mean_e_per_frame": mean_e, **found}
+    return {
+        "fraction": fraction,
+        "fraction_in_this_movie": float(hot.mean()),
+        "n_pixels": int(hot.sum()),
+        "mean_e_per_frame": mean_e,
+        **found,
+    }
 
 
 def detector_saturation(world: World, s: float, form: int, rng: Rng) -> Found:

@@ -51,7 +51,7 @@ SAME_MEANING = {
     "pixel_gain_variation": {"rms": "gain_sd"},
     "column_offset": {"rms_adu": "rms_adu"},
     "row_noise": {"rms_adu": "rms_adu"},
-    "hot_pixels": {"fraction": "fraction"},
+    "hot_pixels": {"fraction": "fraction_in_this_movie"},
     "image_lag": {"fraction": "lag_fraction"},
     "baseline_drift": {"drift_adu": "change_adu"},
     "cosmic_rays": {"hits_per_frame": "hits_per_frame"},
