@@ -158,6 +158,32 @@ def test_viewer_may_close_before_the_controls_came(viewer):
     gc.freeze()  # reference counts alone
 
 
+@pytest.mark.parametrize("kind", ["image", "points"])
+def test_a_layer_hidden_while_it_is_shown_in_turns_shows_all_of_itself_later(viewer, kind):
+    from napari.layers import Image, Points
+
+    from napari_mufasa.widgets.turns import shown_later
+
+    def drawn():
+        node = viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
+        return [node.visible, *(part.visible for part in getattr(node, "_subvisuals", ()))]
+
+    layer = Image(np.eye(9), visible=False) if kind == "image" else Points(np.eye(2), visible=False)
+    viewer.add_layer(layer)
+    layer.visible = True
+    complete = drawn()
+    layer.visible = False
+    turns = shown_later(viewer, layer)
+    next(turns)
+    next(turns)  # visible for the viewer, but nothing of it is drawn yet
+    assert layer.visible and sum(drawn()) < sum(complete)
+    layer.visible = False
+    list(turns)
+    assert not drawn()[0]
+    layer.visible = True
+    assert drawn() == complete and complete[0]
+
+
 def test_error_is_a_notification_with_its_remedy(bar, qtbot):
     def work(progress, cancel):
         raise MufasaError("em_gain = -1: give 1 … 100000")

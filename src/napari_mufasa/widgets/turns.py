@@ -115,25 +115,30 @@ def shown_later(viewer: Viewer, layer: Layer) -> Generator[None, None, None]:
     Points layer in one picture take longer than anything else that the interface does.
     """
     yield
-    parts = _drawn_parts(viewer, layer)
+    node, parts = _drawn(viewer, layer)
     layer.visible = True
     for part in parts:
         part.visible = False
+
+    def show(part: Any) -> None:  # the user may have hidden the layer meanwhile
+        part.visible = layer.visible or part is not node
+
     try:
         yield
         for part in parts:
-            part.visible = layer.visible
+            show(part)
             yield
         yield
     finally:  # also when the run is dropped half-way
         for part in parts:
-            part.visible = layer.visible
+            show(part)
 
 
-def _drawn_parts(viewer: Viewer, layer: Layer) -> list[Any]:
-    """What vispy draws of a layer; nothing when there is no window or napari keeps it elsewhere."""
+def _drawn(viewer: Viewer, layer: Layer) -> tuple[Any, list[Any]]:
+    """What vispy draws of a layer: its node, and the parts that show or else the node itself; no parts when there is
+    no window or napari keeps it elsewhere."""
     with contextlib.suppress(AttributeError, KeyError):
         window: Any = viewer.window._qt_viewer
         node = window.canvas.layer_to_visual[layer].node
-        return [part for part in getattr(node, "_subvisuals", ()) if part.visible] or [node]
-    return []
+        return node, [part for part in getattr(node, "_subvisuals", ()) if part.visible] or [node]
+    return None, []
