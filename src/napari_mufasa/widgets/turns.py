@@ -1,4 +1,4 @@
-"""napari makes a layer in one call of a fifth of a second; here it is done in turns, while the interface lives on."""
+"""napari makes a layer in one long call; here it is done in turns, while the interface lives on."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ NEXT_TURN_MS = 5  # less than a run's parts are apart
 def gently(viewer: Viewer) -> Iterator[None]:
     """Add layers here: their controls, and the window's next picture, are made when the interface had its turn.
 
-    Of napari's call a half goes to what draws the layer, a third to its controls; with software rendering the first
-    picture takes as long again.
+    In napari's own call what draws the layer, its controls and, with software rendering, its first picture follow each
+    other without a break.
     """
     window: Any = getattr(getattr(viewer, "window", None), "_qt_window", None)
     if window is None:  # a viewer without a window
@@ -41,7 +41,7 @@ def gently(viewer: Viewer) -> Iterator[None]:
 class _Rest:
     """What is left to do after layers were added: until it is done, empty frames stand in for their controls.
 
-    Leaves the controls to napari where they are kept elsewhere than in versions 0.6 to 0.9.
+    Leaves the controls to napari where they are kept elsewhere than in version 0.9.
     """
 
     def __init__(self, window: Any) -> None:
