@@ -79,7 +79,8 @@ def expose(
     for hook in hooks.amplified:
         electrons = hook(electrons, frames)
     # 4 read noise N(μ, σ²)
-    sigma = np.broadcast_to(np.asarray(read_noise_map_e(camera), np.float32), electrons.shape[1:])
+    noise = np.asarray(read_noise_map_e(camera), np.float32)
+    sigma = np.ascontiguousarray(np.broadcast_to(noise, electrons.shape[1:]))
     electrons = np.ascontiguousarray(electrons, dtype=np.float32)
     read_out(electrons, sigma, camera.read_noise_mean_e, numbers, streams.key("read noise"))
     for hook in hooks.output:

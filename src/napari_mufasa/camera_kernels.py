@@ -11,7 +11,17 @@ import math
 import numpy as np
 
 from napari_mufasa.register import electrons_after_gain
-from napari_mufasa.variates import gamma, jit, normal_quantile, poisson, poisson_row, stream, uniforms
+from napari_mufasa.variates import (
+    gamma,
+    jit,
+    normal_quantile,
+    poisson,
+    poisson_row,
+    stream,
+    tails,
+    uniforms,
+    vectorised,
+)
 
 
 @jit
@@ -21,15 +31,18 @@ def detect(expected, shape, kept, frames, key, table):  # type: ignore[no-untype
     used for the ideal register alone (shape 1, kept 0)."""
     n_frames, height, width = expected.shape
     result = np.empty(expected.shape, dtype=np.float32)
+    bits, light, tail = np.empty(width, np.uint64), np.empty(width, np.float32), np.empty(width, np.float32)
+    cell, scratch = np.empty(width, np.int32), np.empty((3, width), np.float32)
     u, mean, none, below, counts = np.empty(width), np.empty(width), np.empty(width), np.empty(width), np.empty(width)
     for f in range(n_frames):
         for y in range(height):
-            uniforms(key, frames[f], y * width, 1, u)
             if shape == 1.0 and kept == 0.0:
+                tails(key, frames[f], y * width, bits, tail)
                 for x in range(width):
-                    mean[x] = max(expected[f, y, x], 0.0)
-                electrons_after_gain(mean, u, table, none, below, result[f, y])
+                    light[x] = max(expected[f, y, x], np.float32(0.0))
+                electrons_after_gain(light, tail, table, cell, scratch, result[f, y])
                 continue
+            uniforms(key, frames[f], y * width, 1, u)
             # The row at once up to twice its mean, the few brighter pixels one by one.
             total = 0.0
             for x in range(width):
@@ -55,9 +68,14 @@ def detect(expected, shape, kept, frames, key, table):  # type: ignore[no-untype
 @jit
 def read_out(electrons, sigma, mean, frames, key):  # type: ignore[no-untyped-def]
     n_frames, height, width = electrons.shape
-    u = np.empty(width)
+    bits, tail = np.empty(width, np.uint64), np.empty(width, np.float32)
     for f in range(n_frames):
         for y in range(height):
-            uniforms(key, frames[f], y * width, 1, u)
-            for x in range(width):
-                electrons[f, y, x] += mean + sigma[y, x] * normal_quantile(u[x])
+            tails(key, frames[f], y * width, bits, tail)
+            add_normal(electrons[f, y], np.float32(mean), sigma[y], tail)
+
+
+@vectorised
+def add_normal(values, mean, sigma, tail):  # type: ignore[no-untyped-def]
+    for x in range(values.size):
+        values[x] += mean + sigma[x] * normal_quantile(tail[x])

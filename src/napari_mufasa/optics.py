@@ -34,6 +34,8 @@ def spot_images(
     (frame, y, x) float32
     """
     images = np.zeros((len(photons), *shape_px), dtype=np.float32)
+    if np.all(sigma_px == sigma_px[0]):
+        sigma_px = sigma_px[:1]
     _kernel()(
         images,
         np.ascontiguousarray(photons, dtype=np.float64),
@@ -92,40 +94,38 @@ def _kernel() -> Any:
     import numba
 
     @numba.njit(cache=True, nogil=True)
+    def shares(at, sigma, length, share):  # type: ignore[no-untyped-def]
+        """The share of a Gaussian at `at` that each of `length` pixels in a line gets: the first pixel, how many."""
+        start = max(0, math.floor(at + 0.5 - REACH_SIGMA * sigma))
+        stop = min(length, math.ceil(at + 0.5 + REACH_SIGMA * sigma))
+        before = math.erf((start - 0.5 - at) / (sigma * math.sqrt(2.0)))
+        for i in range(start, stop):
+            after = math.erf((i + 0.5 - at) / (sigma * math.sqrt(2.0)))
+            share[i - start] = 0.5 * (after - before)
+            before = after
+        return start, max(stop - start, 0)
+
+    @numba.njit(cache=True, nogil=True)
     def kernel(images, photons, positions, sigma):  # type: ignore[no-untyped-def]
         n_frames, height, width = images.shape
         n_molecules = photons.shape[1]
-        widest = sigma.max()
-        size = 2 * math.ceil(REACH_SIGMA * widest) + 3
-        share_y, share_x = np.empty(size), np.empty(size)
+        at_rest = positions.shape[0] == 1 and sigma.shape[0] == 1
+        size = 2 * math.ceil(REACH_SIGMA * sigma.max()) + 3
+        y_share, x_share = np.empty((n_molecules, size), np.float32), np.empty((n_molecules, size), np.float32)
+        where = np.empty((n_molecules, 4), np.int64)  # first row, rows, first column, columns
         for f in range(n_frames):
-            fp = f if positions.shape[0] > 1 else 0
-            fs = f if sigma.shape[0] > 1 else 0
-            sy, sx = sigma[fs, 0], sigma[fs, 1]
+            fp, fs = min(f, positions.shape[0] - 1), min(f, sigma.shape[0] - 1)
             for m in range(n_molecules):
-                n = photons[f, m]
+                if f == 0 or not at_rest:
+                    where[m, 0], where[m, 1] = shares(positions[fp, m, 0], sigma[fs, 0], height, y_share[m])
+                    where[m, 2], where[m, 3] = shares(positions[fp, m, 1], sigma[fs, 1], width, x_share[m])
+                n = np.float32(photons[f, m])
                 if n == 0.0:
                     continue
-                y, x = positions[fp, m, 0], positions[fp, m, 1]
-                y0 = max(0, math.floor(y + 0.5 - REACH_SIGMA * sy))
-                y1 = min(height, math.ceil(y + 0.5 + REACH_SIGMA * sy))
-                x0 = max(0, math.floor(x + 0.5 - REACH_SIGMA * sx))
-                x1 = min(width, math.ceil(x + 0.5 + REACH_SIGMA * sx))
-                if y1 <= y0 or x1 <= x0:
-                    continue
-                before = math.erf((y0 - 0.5 - y) / (sy * math.sqrt(2.0)))
-                for i in range(y0, y1):
-                    after = math.erf((i + 0.5 - y) / (sy * math.sqrt(2.0)))
-                    share_y[i - y0] = 0.5 * (after - before)
-                    before = after
-                before = math.erf((x0 - 0.5 - x) / (sx * math.sqrt(2.0)))
-                for j in range(x0, x1):
-                    after = math.erf((j + 0.5 - x) / (sx * math.sqrt(2.0)))
-                    share_x[j - x0] = 0.5 * (after - before)
-                    before = after
-                for i in range(y0, y1):
-                    row = n * share_y[i - y0]
-                    for j in range(x0, x1):
-                        images[f, i, j] += row * share_x[j - x0]
+                y0, rows, x0, columns = where[m]
+                for i in range(rows):
+                    row = n * y_share[m, i]
+                    for j in range(columns):
+                        images[f, y0 + i, x0 + j] += row * x_share[m, j]
 
     return kernel

@@ -17,7 +17,7 @@ from napari_mufasa.scene import Recording, Scene, build_scene
 from napari_mufasa.streams import Streams
 
 Progress = Callable[[int, int], None]
-BLOCK_BYTES = 32 * 2**20  # optical images of one block of frames
+BLOCK_BYTES = 2 * 2**20  # optical images of one block of frames: they stay close to the processor
 
 
 @dataclass(frozen=True)

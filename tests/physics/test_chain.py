@@ -130,11 +130,13 @@ def test_activation_and_bleaching_times_are_exponential():
     )
     photons = simulate_photons(chain, np.ones(4000), exposure(2000, length), Streams(14), "fast")
     on = photons > 0
-    assert on.any(axis=1).all()
+    seen = on.any(axis=1)  # one in 5000 bleaches before its first photon: of 4000, nine or more with chance 2e-7
+    assert (~seen).sum() < 9
+    on = on[seen]
     first = on.argmax(axis=1)
     last = on.shape[1] - on[:, ::-1].argmax(axis=1)
     # Times known to a frame: jitter inside the frame makes them continuous again.
-    jitter = np.random.default_rng(1).random((2, 4000)) - 0.5
+    jitter = np.random.default_rng(1).random((2, len(on))) - 0.5
     assert stats.kstest((first + 0.5 + jitter[0]) * length, "expon", args=(0, 1 / 10)).pvalue > 1e-4
     lifetime = (last - first + jitter[1] - jitter[0]) * length
     # Lifetimes below a frame are blurred by the frame: compare those beyond three frames (no memory).

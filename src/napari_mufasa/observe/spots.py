@@ -197,17 +197,13 @@ def _weights(centre: Array, size: int, sigma_px: float) -> Array:
     one = np.ones_like(dy)
     few = [outer(gy, gx), outer(gy * ty, gx), outer(gy, gx * tx), outer(one, one)]
     more = [0.5 * outer(gy * cy, gx), 0.5 * outer(gy, gx * cx), outer(gy * ty, gx * tx)]
-    small = _pseudo_inverse(few)[..., :3, :]
-    large = _pseudo_inverse(few + more)[..., 4:, :]
-    both = np.concatenate([small, large], axis=-2)
+    design: Array = np.stack([t.reshape(*t.shape[:-2], -1) for t in few + more], axis=-2)  # (…, term, pixel)
+    gram = design @ np.swapaxes(design, -1, -2)
+    n = len(few)
+    small = np.linalg.inv(gram[..., :n, :n])[..., :3, :] @ design[..., :n, :]
+    large = np.linalg.inv(gram)[..., n:, :] @ design
+    both: Array = np.concatenate([small, large], axis=-2)
     return both.reshape(*both.shape[:-1], size, size)
-
-
-def _pseudo_inverse(terms: list[Array]) -> Array:
-    design: Array = np.stack([t.reshape(*t.shape[:-2], -1) for t in terms], axis=-2)  # (…, term, pixel)
-    gram: Array = design @ np.swapaxes(design, -1, -2)
-    result: Array = np.asarray(np.linalg.solve(gram, design), dtype=np.float64)
-    return result
 
 
 def _patches(images: NDArray[np.floating[Any]], corner: NDArray[np.int64], size: int) -> Array:
@@ -222,20 +218,25 @@ def _patches(images: NDArray[np.floating[Any]], corner: NDArray[np.int64], size:
 def _kernel() -> Any:
     import numba
 
-    @numba.njit(cache=True, nogil=True, error_model="numpy")
+    @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
     def kernel(movie, baseline, corner, weights, block_of):  # type: ignore[no-untyped-def]
         n_molecules, _, n_terms, size, _ = weights.shape
         n_frames = movie.shape[0]
         result = np.zeros((n_molecules, n_frames, n_terms))
+        values = np.empty(size * size)
         for m in range(n_molecules):
             for t in range(n_frames):
                 b = block_of[t]
                 y0, x0 = corner[m, b, 0], corner[m, b, 1]
                 for i in range(size):
                     for j in range(size):
-                        v = movie[t, y0 + i, x0 + j] - baseline
-                        for k in range(n_terms):
-                            result[m, t, k] += weights[m, b, k, i, j] * v
+                        values[i * size + j] = movie[t, y0 + i, x0 + j] - baseline
+                for k in range(n_terms):
+                    total = 0.0
+                    weight = weights[m, b, k].ravel()
+                    for p in range(size * size):
+                        total += weight[p] * values[p]
+                    result[m, t, k] = total
         return result
 
     return kernel
