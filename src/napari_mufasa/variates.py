@@ -77,7 +77,8 @@ def log(x):  # type: ignore[no-untyped-def]
     part = np.int32(bits - np.int32(exponent << np.int32(23))).view(np.float32)  # √½ … √2
     t = (part - _ONE) / (part + _ONE)
     t2 = t * t
-    series = _ONE + t2 * (np.float32(1 / 3) + t2 * (np.float32(1 / 5) + t2 * (np.float32(1 / 7) + t2 * np.float32(1 / 9))))
+    series = np.float32(1 / 7) + t2 * np.float32(1 / 9)
+    series = _ONE + t2 * (np.float32(1 / 3) + t2 * (np.float32(1 / 5) + t2 * series))
     return np.float32(2.0) * t * series + np.float32(exponent) * np.float32(math.log(2.0))
 
 

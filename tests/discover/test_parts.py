@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 import napari_mufasa as nm
 from napari_mufasa.discover import metric, nuisance
-from napari_mufasa.discover.coordinates import changed
+from napari_mufasa.discover.coordinates import changed, moved, room
 from napari_mufasa.discover.library import Ray, State, ray_settings, scaled, two_sided
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.null import Null
@@ -37,15 +38,64 @@ def test_soften_is_linear_for_noise_and_tames_outliers():
     np.testing.assert_allclose(metric.stretch(metric.soften(np.array([-300.0, 0.5, 70.0]))), [-300.0, 0.5, 70.0])
 
 
+FREE = np.array([[-np.inf], [np.inf]]) * np.ones(3)
+
+
 def test_profile_recovers_known_moves():
     rng = np.random.default_rng(2)
     jacobian = rng.standard_normal((30, 3)) * 5
     moves = np.array([0.3, -0.2, 0.5])
     x = jacobian @ moves + rng.standard_normal(30)
-    found = metric.profile(x, np.zeros(30), np.ones(30), jacobian, np.full(3, 10.0), np.eye(30))
+    found = metric.profile(x, np.zeros(30), np.ones(30), jacobian, np.full(3, 10.0), FREE, np.eye(30))
     error = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
     assert np.all(np.abs(found.moves - moves) < 4.5 * error)
     assert found.chi2 < 60  # chi² of 27 degrees of freedom: 60 is beyond 2e-4
+
+
+def test_a_value_at_the_end_of_its_room_stays_there_and_the_others_make_the_best_of_it():
+    """Against scipy's least squares with bounds: two of three values would like to go farther."""
+    rng = np.random.default_rng(2)
+    jacobian = rng.standard_normal((30, 3))
+    x = jacobian @ np.array([3.0, -2.0, 0.5])
+    room = np.array([[-1.0, -1.0, -4.0], [1.0, 1.0, 4.0]])
+    found = metric.profile(x, np.zeros(30), np.ones(30), jacobian, np.full(3, 10.0), room, np.eye(30))
+
+    def residual(moves):
+        return np.concatenate([metric.soften(x - jacobian @ moves), moves / 10.0])
+
+    best = optimize.least_squares(residual, np.zeros(3), bounds=tuple(room))
+    np.testing.assert_allclose(found.moves, best.x, atol=2e-3)
+    assert found.moves[0] == 1.0 and found.moves[1] == -1.0
+    assert found.chi2 == pytest.approx(2 * best.cost, rel=1e-3)
+
+
+def test_no_free_value_moves_farther_than_the_model_can_follow():
+    """Moves to the ends of their room give the model's own ends: the emulator must not promise what no model does."""
+    lag = effect_class("image_lag")(fraction=0.02, kept=0.5, form="decaying")
+    model = nm.preset("FF").with_effects(lag)
+    values = nuisance.nuisances(model)
+    free = [n.path for n in values] + ["image_lag.fraction", "image_lag.kept"]
+    prior = np.array([n.prior for n in values] + [1.0, 1.0])
+    ends = room(model, free, prior)
+    np.testing.assert_allclose(ends[1, : len(values)], nuisance.REACH * prior[: len(values)])
+    for end in ends:
+        there = moved(model, values, free, end).effects[0]
+        beyond = moved(model, values, free, 2 * end).effects[0]
+        assert there.kept == pytest.approx(beyond.kept) and there.fraction == pytest.approx(beyond.fraction)
+        nearer = moved(model, values, free, 0.9 * end).effects[0]
+        assert abs(nearer.kept - 0.5) < abs(there.kept - 0.5)
+        assert abs(nearer.fraction - 0.02) < abs(there.fraction - 0.02)
+
+
+def test_a_lead_does_not_take_credit_for_a_value_at_its_end():
+    """Misfit along a direction that a free value may not follow any farther is nothing that an idle ray explains."""
+    state = toy_state()
+    x = np.zeros((3, 25))
+    x[:, :4] = 3.0 * 9.0  # brightness would move by 9, and may by 1.25
+    idle = Ray(catalogue()["laser_drift"](), np.full((3, 25), 1e-9))
+    lead = state.screen(x, {"laser_drift": [idle]})["laser_drift"][0]
+    assert state.profiled(x).moves[0] == pytest.approx(state.room[1, 0])
+    assert abs(lead.gain) < 0.1
 
 
 def toy_state(p=25, free=1):

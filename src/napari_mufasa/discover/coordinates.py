@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
+from napari_mufasa.discover.nuisance import REACH
 from napari_mufasa.effects import Effect
 from napari_mufasa.model import Model
 
@@ -41,7 +42,8 @@ class Coordinate:
             unit = 1.0 if log else (high - low) / 4
             if name == effect.strength:
                 low, high = (low / 10, high * 4) if log else (low - (high - low), high + (high - low))
-            found.append(cls(name, log, unit, low, high))
+            least, most = hard_limits(effect, name)
+            found.append(cls(name, log, unit, max(low, least), min(high, most)))
         return found
 
     def moved(self, effect: Effect, by: float) -> float:
@@ -49,6 +51,14 @@ class Coordinate:
         new = value * float(np.exp(by)) if self.log else value + by * self.unit
         # Where it is beyond the range already, it may stay there.
         return float(np.clip(new, min(self.low, value), max(self.high, value)))
+
+    def room(self, effect: Effect) -> tuple[float, float]:
+        """How far the coordinate may move down and up: its range, and where it stands if that is beyond."""
+        value = float(getattr(effect, self.name))
+        low, high = min(self.low, value), max(self.high, value)
+        if self.log:
+            return float(np.log(low / value)), float(np.log(high / value))
+        return (low - value) / self.unit, (high - value) / self.unit
 
     def inward(self, effect: Effect, step: float) -> float:
         """A step of that size that the range does not cut short."""
@@ -83,10 +93,32 @@ def changed(effect: Effect, values: dict[str, Any], **choices: str) -> Effect:
     """The effect with parameters changed, kept within their hard limits, and with other choices of form."""
     data = {name: value for name, value in effect.model_dump().items() if name != "kind"} | choices
     for name, value in values.items():
-        for limit in type(effect).model_fields[name].metadata:
-            low = getattr(limit, "ge", getattr(limit, "gt", None))
-            high = getattr(limit, "le", None)
-            value = value if low is None else max(value, float(low) + (1e-9 if hasattr(limit, "gt") else 0.0))
-            value = value if high is None else min(value, float(high))
-        data[name] = value
+        low, high = hard_limits(effect, name)
+        data[name] = value if low == -np.inf and high == np.inf else min(max(value, low), high)
     return type(effect)(**data)
+
+
+def hard_limits(effect: Effect, name: str) -> tuple[float, float]:
+    """The least and the largest value that a parameter takes."""
+    low, high = -np.inf, np.inf
+    for limit in type(effect).model_fields[name].metadata:
+        if hasattr(limit, "ge"):
+            low = max(low, float(limit.ge))
+        if hasattr(limit, "gt"):
+            low = max(low, float(limit.gt) + 1e-9)
+        if hasattr(limit, "le"):
+            high = min(high, float(limit.le))
+    return low, high
+
+
+def room(model: Model, free: Sequence[str], prior: Array) -> Array:
+    """How far the free values may move (2, value), down and up: nuisance values by `REACH` of their priors (a data
+    sheet is not wrong by ten standard deviations, whatever that would explain), parameters within their range."""
+    effects = {effect.kind: effect for effect in model.effects}
+    ends = [REACH * np.array([-width, width]) for width in prior]
+    for i, path in enumerate(free):
+        kind, name = path.rsplit(".", 1)
+        if kind in effects:
+            coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
+            ends[i] = np.array(coordinate.room(effects[kind]))
+    return np.array(ends).reshape(-1, 2).T

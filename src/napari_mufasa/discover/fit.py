@@ -215,6 +215,13 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     return _judged(library, replace(local, slopes=np.concatenate([fixed, slopes], axis=2), prior=prior), rows, x, n)
 
 
+def lies_beyond(found: Fit, x: Array) -> bool:
+    """Whether the effect's best for the measurement x lies beyond the simulations that it was judged by."""
+    n = n_effect(found)
+    moves, widths = found.state.profiled(x).moves, found.state.prior / REACH
+    return bool(np.any(np.abs(moves) > widths, where=np.arange(len(moves)) >= len(moves) - n))
+
+
 def n_effect(found: Fit) -> int:
     """How many of the free values are parameters of the effect fitted last."""
     return len(_own_coordinates(found))

@@ -270,11 +270,17 @@ class Investigation:
 
     def _settled(self, found: Fit) -> Fit:
         """The fit judged by more simulations; where its held-out error is above the floor, also with derivatives of
-        its own."""
+        its own, and once more where its best lies beyond what was simulated."""
         found = fit.settle(self.library, found, self.x)
-        if found.state.held_out_error(self.x) <= AT_FLOOR * found.state.floor:
-            return found
-        return min(found, fit.settle(self.library, found, self.x, anew=True), key=lambda f: f.score)
+        for turn in range(2):
+            at_floor = found.state.held_out_error(self.x) <= AT_FLOOR * found.state.floor
+            if at_floor or (turn and not fit.lies_beyond(found, self.x)):
+                break
+            again = fit.settle(self.library, found, self.x, anew=True)
+            if again.score >= found.score:
+                break
+            found = again
+        return found
 
     def _best_form(self, found: Fit) -> Fit:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
@@ -16,10 +17,11 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.bench import Bench, as_table
-from napari_mufasa.discover.coordinates import Coordinate, changed, moved
+from napari_mufasa.discover.coordinates import Coordinate, changed, moved, room
 from napari_mufasa.discover.metric import (
     SOFT,
     Profile,
+    at_the_end,
     profile,
     shrunk_correlation,
     spread_floor,
@@ -87,8 +89,13 @@ class State:
     def profiled(self, x: Array, part: int = 0) -> Profile:
         """The measurement x (part, observable) against this model, free values moved."""
         return profile(
-            x[part], self.mean[part], self.spread[part], self.slopes[part], self.prior, self.whiten[part]
-        )  # fmt: skip
+            x[part], self.mean[part], self.spread[part], self.slopes[part], self.prior, self.room, self.whiten[part]
+        )
+
+    @cached_property
+    def room(self) -> Array:
+        """How far the free values may move (2, value)."""
+        return room(self.model, self.free, self.prior)
 
     def held_out_error(self, x: Array) -> float:
         """rms whitened residual of the held-out part, free values fitted on the fit part."""
@@ -96,7 +103,7 @@ class State:
         moves = self.profiled(x, fit).moves
         still = profile(
             x[held], self.mean[held] + self.slopes[held] @ moves, self.spread[held],
-            np.zeros((x.shape[1], 0)), np.zeros(0), self.whiten[held], steps=0,
+            np.zeros((x.shape[1], 0)), np.zeros(0), np.zeros((2, 0)), self.whiten[held], steps=0,
         )  # fmt: skip
         return float(np.sqrt(np.mean(still.residual**2)))
 
@@ -115,8 +122,8 @@ class State:
         # Locally linear: directions of free values are projected out of residual and rays alike.
         local = 1 / np.sqrt(1 + np.sinh(np.clip(start.soft / SOFT, -20, 20)) ** 2)
         slope = np.vstack([w @ (self.slopes[0] / spread[:, None] * local[:, None]), np.diag(1 / self.prior)])
-        q, _ = np.linalg.qr(slope)
         full = np.concatenate([start.residual, -start.moves / self.prior])
+        q, _ = np.linalg.qr(slope[:, ~at_the_end(start.moves, self.room, slope.T @ full)])
         raw = stretch(start.soft)
         found: dict[str, list[Lead]] = {}
         for kind, candidates in rays.items():

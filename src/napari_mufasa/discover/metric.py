@@ -80,15 +80,21 @@ class Profile:
     soft: Array  # residuals before whitening
 
 
+def at_the_end(moves: Array, room: Array, towards: Array) -> NDArray[np.bool_]:
+    """Which free values cannot move any farther that way."""
+    result: NDArray[np.bool_] = np.where(towards > 0, moves >= room[1] - 1e-9, moves <= room[0] + 1e-9)
+    return result
+
+
 def profile(
-    x: Array, mean: Array, spread: Array, jacobian: Array, prior: Array, whiten: Array, start: Array | None = None,
-    steps: int = 6,
+    x: Array, mean: Array, spread: Array, jacobian: Array, prior: Array, room: Array, whiten: Array, steps: int = 6,
 ) -> Profile:  # fmt: skip
     """Move the free values (jacobian: observable × value, in units of x) to bring x and mean together.
 
-    `prior` is the width of each value's prior around 0; its penalty counts in chi².
+    `prior` is the width of each value's prior around 0; its penalty counts in chi². `room` (2, value): how far each
+    may move down and up.
     """
-    moves = np.zeros(jacobian.shape[1]) if start is None else start.copy()
+    moves = np.zeros(jacobian.shape[1])
     scaled = jacobian / spread[:, None]
 
     def at(moves: Array) -> tuple[float, Array, Array]:
@@ -101,9 +107,13 @@ def profile(
     for _ in range(steps):
         slope = whiten @ (scaled / np.sqrt(1 + (r / SOFT) ** 2)[:, None])
         gram = slope.T @ slope + np.diag(1 / prior**2)
-        step = np.linalg.solve(gram, slope.T @ white - moves / prior**2)
+        downhill = slope.T @ white - moves / prior**2
+        stuck = at_the_end(moves, room, downhill)
+        gram[stuck], gram[:, stuck] = 0.0, 0.0
+        gram[stuck, stuck], downhill[stuck] = 1.0, 0.0
+        step = np.linalg.solve(gram, downhill)
         for shrink in (1.0, 0.5, 0.2, 0.05):
-            trial = moves + shrink * step
+            trial = np.clip(moves + shrink * step, *room)
             chi2, w, rr = at(trial)
             if chi2 < best:
                 gain = best - chi2

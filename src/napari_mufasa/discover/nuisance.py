@@ -15,6 +15,8 @@ import numpy as np
 from napari_mufasa.model import Model
 from napari_mufasa.observe import photoelectrons_per_adu
 
+REACH = 2.5  # how many widths of its prior a value may move
+
 
 @dataclass(frozen=True)
 class Nuisance:
@@ -56,7 +58,7 @@ def apply(model: Model, names: list[Nuisance], by: np.ndarray[Any, np.dtype[np.f
     """The model with nuisance coordinates moved by `by` (one per nuisance)."""
     values: dict[str, Any] = {}
     for nuisance, step in zip(names, by, strict=True):
-        reach = 2.5 * nuisance.prior
+        reach = REACH * nuisance.prior
         values |= nuisance.moved(model, float(np.clip(step, -reach, reach)))
     return model.with_values(values)
 
