@@ -1,10 +1,13 @@
 """The conversation's bookkeeping: what is seen from where, and what is the user's own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.discover.coordinates import Coordinate, moved
+from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.investigation import FAR_OFF, Investigation
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.effects import effect_class
@@ -80,3 +83,32 @@ def test_a_step_at_the_end_of_a_range_goes_inward():
 def test_an_effect_that_is_off_has_no_free_strength():
     off = effect_class("photobleaching")(rate_per_s=0.0)
     assert Coordinate.of(off, nm.preset("FF")) == []
+
+
+class _Judge(Investigation):
+    """Only the choice between fits: their scores come from the test, as they are told after more simulations."""
+
+    def __init__(self, scores_after):
+        self.scores_after, self.judged = scores_after, []
+
+    def _evidence(self, found):
+        return -found.score
+
+    def _judged_again(self, fits):
+        self.judged += [found.effect.form for found in fits]
+        return [replace(found, score=self.scores_after[found.effect.form]) for found in fits]
+
+
+def test_forms_that_come_close_are_judged_by_more_simulations_before_one_is_chosen():
+    """What led by few simulations may lose to its rival by more; what is far behind is not looked at again."""
+    drift = effect_class("laser_drift")
+    fits = [
+        Fit(None, drift(form=form), {}, score, 0.0)
+        for form, score in zip(drift.forms()[:3], (-714.0, -687.0, -300.0), strict=True)
+    ]
+    leader, rival, behind = (found.effect.form for found in fits)
+    judge = _Judge({leader: -709.0, rival: -772.0, behind: -9999.0})
+    assert judge._closest(fits).effect.form == rival
+    assert judge.judged == [leader, rival]
+    alone = _Judge({})
+    assert alone._closest([fits[0], fits[2]]) is fits[0] and not alone.judged

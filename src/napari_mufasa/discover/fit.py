@@ -68,6 +68,10 @@ def planned_simulations() -> int:
     return 6 + 2 * ROUND_SIMULATIONS + CHECK_SIMULATIONS
 
 
+def settling_simulations() -> int:
+    return CHECK_SIMULATIONS + SETTLING_SIMULATIONS
+
+
 def refine(library: Library, state: State, starts: Effect | Sequence[Effect], x: Array) -> Fit:
     """Fit an effect into `state` so that it explains the measurement x (part, observable), from the best of `starts`:
     the same effect in different forms."""

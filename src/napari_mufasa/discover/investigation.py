@@ -18,7 +18,7 @@ from napari_mufasa.discover import fit, library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.coordinates import moved
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import Lead, Library, State
+from napari_mufasa.discover.library import SLOPE_SEEDS, Lead, Library, State
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
@@ -271,11 +271,12 @@ class Investigation:
     def _settled(self, found: Fit) -> Fit:
         """The fit judged by more simulations; where its held-out error is above the floor, also with derivatives of
         its own, and once more where its best lies beyond what was simulated."""
-        found = fit.settle(self.library, found, self.x)
+        (found,) = self._judged_again([found])
         for turn in range(2):
             at_floor = found.state.held_out_error(self.x) <= AT_FLOOR * found.state.floor
             if at_floor or (turn and not fit.lies_beyond(found, self.x)):
                 break
+            self.bench.plan(fit.settling_simulations() + SLOPE_SEEDS * len(found.state.free))
             again = fit.settle(self.library, found, self.x, anew=True)
             if again.score >= found.score:
                 break
@@ -302,8 +303,13 @@ class Investigation:
         bar = CLOSE * max(self._evidence(found) for found in fits)
         close = [found for found in fits if self._evidence(found) > bar] or fits
         if len(close) > 1:
-            close = [fit.settle(self.library, found, self.x) for found in close]
+            close = self._judged_again(close)
         return min(close, key=lambda found: found.score)
+
+    def _judged_again(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Fits judged by more simulations."""
+        self.bench.plan(len(fits) * fit.settling_simulations())
+        return [fit.settle(self.library, found, self.x) for found in fits]
 
     def simplify(self) -> None:
         """Take the first of two effects out again where the second one alone explains as much: a greedy first
@@ -374,7 +380,7 @@ class Investigation:
             self._tried |= {kind: self._best_form(self._tried[kind]) for kind in contested}
             self._formed = set(contested)
         if not far and len(close := self._within(CLOSE)) > 1:
-            self._tried |= {kind: fit.settle(self.library, self._tried[kind], self.x) for kind in close}
+            self._tried |= zip(close, self._judged_again([self._tried[kind] for kind in close]), strict=True)
 
     def _within(self, share: float) -> list[str]:
         """The fitted effects with more than this share of the best evidence."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_mufasa.io import METADATA_KEY
-from napari_mufasa.widgets.layers import PLACE, add_movie
+from napari_mufasa.widgets.layers import PLACE, add_movie, points_on
 from napari_mufasa.widgets.places import MOLECULE_WORDS, WORDS, Places, place_of
 from napari_mufasa.widgets.turns import gently
 
@@ -141,14 +141,13 @@ class PlaceLayers:
         name = f"where: {MOLECULE_WORDS[number]}"
         layer, positions = self.molecules, table[["y_px", "x_px"]].to_numpy(float)
         if layer is None:
+            layer = self._layers["molecules"] = points_on(
+                movie, positions, {"sd": z}, name, opacity=0.8, size=5.0 * float(places.model.sigma_px),
+                face_color="sd", face_colormap="PiYG", face_contrast_limits=(-SD_SHOWN, SD_SHOWN),
+                border_color="gray", border_width=0.05, metadata={METADATA_KEY: {"role": PLACE}},
+            )  # fmt: skip
             with gently(self.viewer):
-                layer = self._layers["molecules"] = self.viewer.add_points(
-                    positions, name=name, scale=tuple(movie.scale[-2:]),
-                    units=tuple(movie.units[-2:]), translate=tuple(movie.translate[-2:]), opacity=0.8,
-                    size=5.0 * float(places.model.sigma_px), features={"sd": z}, face_color="sd", face_colormap="PiYG",
-                    face_contrast_limits=(-SD_SHOWN, SD_SHOWN), border_color="gray", border_width=0.05,
-                    metadata={METADATA_KEY: {"role": PLACE}},
-                )  # fmt: skip
+                self.viewer.add_layer(layer)
                 self.viewer.layers.selection.active = movie
         else:
             if not np.array_equal(layer.data, positions):  # after another effect was added they may be other ones
