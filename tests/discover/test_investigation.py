@@ -1,14 +1,16 @@
 """The conversation's bookkeeping: what is seen from where, and what is the user's own."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import napari_mufasa as nm
+from napari_mufasa.discover import contest
 from napari_mufasa.discover.coordinates import Coordinate, moved
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.investigation import FAR_OFF, Investigation
+from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.effects import effect_class
 
@@ -34,7 +36,7 @@ def test_far_from_the_floor_the_neighbourhood_is_simulated_anew_and_undo_goes_ba
     before, first = inquiry.state.held_out_error(inquiry.x), inquiry.library
     inquiry.add("laser_drift")
     near, gained = inquiry.state, inquiry.explained
-    assert near.held_out_error(inquiry.x) > FAR_OFF * near.floor and inquiry.library is first
+    assert near.far_off(inquiry.x) and inquiry.library is first
     inquiry.approach()
     assert inquiry.library is not first and "laser_drift.change" in inquiry.state.free
     assert set(inquiry.library.rays) == {"row_noise", "background_gradient"}
@@ -85,30 +87,46 @@ def test_an_effect_that_is_off_has_no_free_strength():
     assert Coordinate.of(off, nm.preset("FF")) == []
 
 
-class _Judge(Investigation):
-    """Only the choice between fits: their scores come from the test, as they are told after more simulations."""
-
-    def __init__(self, scores_after):
-        self.scores_after, self.judged = scores_after, []
-
-    def _evidence(self, found):
-        return -found.score
-
-    def _judged_again(self, fits):
-        self.judged += [found.effect.form for found in fits]
-        return [replace(found, score=self.scores_after[found.effect.form]) for found in fits]
-
-
-def test_forms_that_come_close_are_judged_by_more_simulations_before_one_is_chosen():
-    """What led by few simulations may lose to its rival by more; what is far behind is not looked at again."""
+def fits_of(forms, scores, errors=(1.0, 1.0, 1.0)):
     drift = effect_class("laser_drift")
-    fits = [
-        Fit(None, drift(form=form), {}, score, 0.0)
-        for form, score in zip(drift.forms()[:3], (-714.0, -687.0, -300.0), strict=True)
-    ]
-    leader, rival, behind = (found.effect.form for found in fits)
-    judge = _Judge({leader: -709.0, rival: -772.0, behind: -9999.0})
-    assert judge._closest(fits).effect.form == rival
-    assert judge.judged == [leader, rival]
-    alone = _Judge({})
-    assert alone._closest([fits[0], fits[2]]) is fits[0] and not alone.judged
+    states = [SimpleNamespace(held_out_error=lambda x, error=error: error) for error in errors]
+    return [Fit(state, drift(form=f), {}, score, 0.0) for f, score, state in zip(forms, scores, states, strict=True)]
+
+
+@pytest.fixture
+def choice(monkeypatch):
+    """A contest whose fits are known; scores after more simulations come from the test."""
+    after, judged = {}, []
+
+    def judge_again(library, close, x):
+        judged.extend(found.effect.form for found in close)
+        return [replace(found, score=after.get(found.effect.form, found.score)) for found in close]
+
+    monkeypatch.setattr(contest, "judged_again", judge_again)
+    nothing_known = SimpleNamespace(score=lambda x: 0.0)
+    return contest.Contest(None, nothing_known, np.zeros((3, 100)), None), after, judged
+
+
+def test_forms_that_come_close_are_judged_by_more_simulations_before_one_is_chosen(choice):
+    """What led by few simulations may lose to its rival by more; what is far behind is not looked at again."""
+    judge, after, judged = choice
+    fits = fits_of(("saturating", "wandering", "step"), (-714.0, -687.0, -300.0))
+    after |= {"saturating": -709.0, "wandering": -772.0, "step": -9999.0}
+    assert judge._closest(fits).effect.form == "wandering"
+    assert judged == ["saturating", "wandering"]
+    assert judge._closest([fits[0], fits[2]]) is fits[0] and judged == ["saturating", "wandering"]
+
+
+def test_of_close_forms_the_plain_one_stays_unless_another_is_clearly_better(choice):
+    judge, _, _ = choice
+    close = fits_of(("linear", "saturating", "wandering"), (-700.0, -710.0, -600.0))
+    assert judge._closest(close).effect.form == "linear"
+    clearly = fits_of(("linear", "saturating", "wandering"), (-700.0, -720.0, -600.0))
+    assert judge._closest(clearly).effect.form == "saturating"
+
+
+def test_of_close_forms_the_one_that_tells_the_other_half_of_the_field_is_chosen(choice):
+    """A pattern without the freedom of the real one: more likely for the whole field, far off for the other half."""
+    judge, _, _ = choice
+    forms = fits_of(("linear", "saturating", "wandering"), (-777.0, -799.0, -800.0), (1.09, 1.64, 1.5))
+    assert judge._closest(forms).effect.form == "linear"

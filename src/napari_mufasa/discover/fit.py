@@ -244,17 +244,11 @@ def _base_rows(library: Library, n: int) -> Array:
 
 def _judged(library: Library, local: State, rows: Array, x: Array, n_effect: int) -> Fit:
     """The fit by simulations of its model, numbered as the base model's check simulations and then as its others."""
-    pooled = len(rows) > CHECK_SIMULATIONS
-    # Paired with the base model's simulations of the same seeds: the mean is as precise as the base's.
-    change = rows - _base_rows(library, len(rows))
     local = replace(local, check=rows)
-    everyone = np.ones(len(rows), dtype=bool)
-    state = _of_simulations(library, local, rows, change, everyone, pooled)
+    state = _of_simulations(library, local, None)
     errors, misfits = [], []
     for i in range(len(rows)):
-        others = everyone.copy()
-        others[i] = False
-        unaware = _of_simulations(library, state, rows, change, others, pooled)
+        unaware = _of_simulations(library, state, i)
         errors.append(unaware.held_out_error(rows[i]))
         misfits.append(unaware.misfit(rows[i]))
     state = replace(state, floor=float(np.median(errors)))
@@ -264,20 +258,31 @@ def _judged(library: Library, local: State, rows: Array, x: Array, n_effect: int
     return Fit(state, effect, _uncertainty(state, n_effect, excess, effect), state.score(x), misfit)
 
 
-def _of_simulations(
-    library: Library, local: State, rows: Array, change: Array, use: NDArray[np.bool_], pooled: bool = False
-) -> State:
-    """The state with mean and spread of these of its simulations; pooled: also the correlation, with the base's."""
-    base = library.base
+def _of_simulations(library: Library, local: State, without: int | None) -> State:
+    """The state with the mean, spread and, of many simulations, correlation that its simulations show.
+
+    Paired with the base model's of the same numbers, so that the mean is as precise as the base's. `without` one of
+    them, its twin in the base model is left out as well: it has the same chance.
+    """
+    rows, base_rows = local.check, library.rows
+    pooled = len(rows) > CHECK_SIMULATIONS
+    use, base_use = np.ones(len(rows), dtype=bool), np.ones(len(base_rows), dtype=bool)
+    if without is not None:
+        use[without] = False
+        if without >= CHECK_SIMULATIONS:
+            base_use[without - CHECK_SIMULATIONS] = False
+    base_mean = base_rows[base_use].mean(axis=0)
+    base_spread = np.maximum(base_rows[base_use].std(axis=0, ddof=1), local.least_spread)
     wild = rows[use] - rows[use].mean(axis=0)
     freedom = PRIOR_SIMULATIONS + len(wild) - 1
-    variance = (PRIOR_SIMULATIONS * base.spread**2 + (wild**2).sum(axis=0)) / freedom
+    variance = (PRIOR_SIMULATIONS * base_spread**2 + (wild**2).sum(axis=0)) / freedom
     spread = np.maximum(np.sqrt(variance), local.least_spread)
     whiten = local.whiten
     if pooled:
-        scores = np.concatenate([(library.rows - base.mean) / base.spread, wild / spread])
+        scores = np.concatenate([(base_rows[base_use] - base_mean) / base_spread, wild / spread])
         whiten = np.stack([whitener(shrunk_correlation(scores[:, p])) for p in range(rows.shape[1])])
-    return replace(local, mean=base.mean + change[use].mean(axis=0), spread=spread, whiten=whiten)
+    change = (rows - _base_rows(library, len(rows)))[use].mean(axis=0)
+    return replace(local, mean=base_mean + change, spread=spread, whiten=whiten)
 
 
 def _uncertainty(state: State, n_effect: int, excess: float, effect: Effect) -> dict[str, float]:

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import fit, library
 from napari_mufasa.discover.bench import Bench
+from napari_mufasa.discover.contest import FINALISTS, PROMISING, Contest, settled
 from napari_mufasa.discover.coordinates import moved
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import SLOPE_SEEDS, Lead, Library, State
+from napari_mufasa.discover.library import Lead, Library, State
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
@@ -32,19 +33,8 @@ from napari_mufasa.streams import Streams
 Array = NDArray[np.float64]
 SECOND = 0.01  # chance level that every further effect must pass …
 SECOND_SHARE = 0.03  # … with at least this share of the evidence of those before it
-FINALISTS, LATER_FINALISTS = (
-    5,
-    3,
-)  # leads that are fitted by direct simulation, for the first effect and for further ones
-PROMISING = 0.6  # a lead or form is worth a fit from this share of the evidence that is needed or already had
-AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
 SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
-CONTESTED = 0.6  # effects with this share of the best evidence are contested: each may show its best form
-FORM_WORTH = 0.2  # another form is fitted from this share of the evidence
-CLOSE = 0.85  # rivals with this share of the best evidence are judged by more simulations
-FORM_MISFIT = 0.05  # at the floor, with less misfit than chance leaves so often, other forms are not tried
 TRIALS = 4  # simulations that tell which of two models is nearer
-FAR_OFF = 2.5  # an error of so many floors is far off: several things are missing
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
 
@@ -103,8 +93,7 @@ class Investigation:
         self.fits: list[Fit] = []
         self._gained: list[float] = []  # evidence that each of them brought
         self.ranking: list[Candidate] = []
-        self._tried: dict[str, Fit] = {}
-        self._formed: set[str] = set()  # of those, the ones tried in all promising forms
+        self._contest: Contest | None = None
         self._alone: dict[str, Fit] = {}  # effects fitted into the base model
 
     # What is known ------------------------------------------------------------------------------------------
@@ -159,10 +148,14 @@ class Investigation:
     @property
     def far_off(self) -> bool:
         """Is the model, with what was added, still so wrong that the first neighbourhood says little about it?"""
-        return bool(self.fits) and self._far(self.state)
+        return bool(self.fits) and self.state.far_off(self.x)
 
-    def _far(self, state: State) -> bool:
-        return state.held_out_error(self.x) > FAR_OFF * state.floor
+    @property
+    def contest(self) -> Contest:
+        """What was fitted into the model as it stands."""
+        if self._contest is None or self._contest.state is not self.state:
+            self._contest = Contest(self.library, self.state, self.x, lambda: self.null)
+        return self._contest
 
     # Steps --------------------------------------------------------------------------------------------------
 
@@ -203,7 +196,7 @@ class Investigation:
             return self.null.evidence_at(ALARM)
         # What the first effects leave is also the error of their own form: a further effect must stand out from
         # it, more so where the held-out error is at its floor already.
-        at_the_floor = self.state.held_out_error(self.x) <= AT_FLOOR * self.state.floor
+        at_the_floor = self.state.at_floor(self.x)
         beyond_form = SECOND_SHARE * self.explained * (3.0 if at_the_floor else 1.0)
         return max(beyond_form, self.null.evidence_at(SECOND**2 if at_the_floor else SECOND))
 
@@ -224,24 +217,24 @@ class Investigation:
         """Is a held-out error better than that of the state `on`? Where that is at its floor no effect can lower it
         much: sure evidence will do if the error does not rise."""
         before = on.held_out_error(self.x)
-        sure = before <= AT_FLOOR * on.floor and evidence > self.null.evidence_at(SURE)
+        sure = on.at_floor(self.x) and evidence > self.null.evidence_at(SURE)
         return error < (NOT_RISEN * before if sure else before)
 
     def rank(self) -> list[Candidate]:
         """What is missing: the leads, the best of them fitted by direct simulation, best first."""
-        self._tried = {}
         self.approach()
-        leads = self.leads()
-        self._fit_the_best(leads)
+        self._contest = None
+        leads, tried = self.leads(), self.contest.tried
+        self.contest.run(leads, self.needed() if self.fits else None)
         if not self.fits:
-            self._alone = dict(self._tried)
-        fitted = sorted(self._tried.items(), key=lambda item: item[1].score)
+            self._alone = dict(tried)
+        fitted = sorted(tried.items(), key=lambda item: item[1].score)
         self.ranking = []
         for kind, found in fitted:
             near = tuple(k for k, other in fitted if k != kind and abs(other.score - found.score) < NEAR)
             self.ranking.append(self._candidate(found, near))
         for kind, (lead, *_) in leads.items():
-            if kind not in self._tried:
+            if kind not in tried:
                 p = self.null.p_evidence(lead.gain)
                 self.ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, lead.start().parameters(), {}))
         return self.ranking
@@ -254,62 +247,18 @@ class Investigation:
             raise MufasaError(f"{kind} is in the model believed already: take it out there first")
         if kind in self.chosen:
             raise MufasaError(f"{kind} is already in the model: undo it first, or add another effect")
-        if kind not in self._tried:
+        if kind not in self.contest.tried:
             self.approach()
         if isinstance(what, Effect):
             found = fit.refine(self.library, self.state, what, self.x)
         else:
-            found = self._tried.get(kind) or fit.refine(self.library, self.state, self._starts(kind), self.x)
-            found = found if kind in self._formed else self._best_form(found)
-        found = self._settled(found)
+            found = self.contest.fitted(self._starts(kind))
+        found = settled(self.library, found, self.x)
         near = {c.effect: c.indistinguishable_from for c in self.ranking}.get(kind, ())
         others = [c for c in self.ranking if c.effect != kind]
         place = next((i for i, c in enumerate(self.ranking) if c.effect == kind), len(others))
         self.ranking = [*others[:place], self._candidate(found, near), *others[place:]]
         self._keep(found)
-
-    def _settled(self, found: Fit) -> Fit:
-        """The fit judged by more simulations; where its held-out error is above the floor, also with derivatives of
-        its own, and once more where its best lies beyond what was simulated."""
-        (found,) = self._judged_again([found])
-        for turn in range(2):
-            at_floor = found.state.held_out_error(self.x) <= AT_FLOOR * found.state.floor
-            if at_floor or (turn and not fit.lies_beyond(found, self.x)):
-                break
-            self.bench.plan(fit.settling_simulations() + SLOPE_SEEDS * len(found.state.free))
-            again = fit.settle(self.library, found, self.x, anew=True)
-            if again.score >= found.score:
-                break
-            found = again
-        return found
-
-    def _best_form(self, found: Fit) -> Fit:
-        """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better."""
-        at_floor = found.state.held_out_error(self.x) <= AT_FLOOR * found.state.floor
-        if at_floor and self.null.p_misfit(found.misfit) > FORM_MISFIT:
-            return found
-        rays = {found.effect.kind: self.library.rays[found.effect.kind]}
-        leads = self.state.screen(self.x, rays)[found.effect.kind]
-        # A form that is chance itself (a walk, pink noise) promises far less by one simulation than it holds.
-        worth = FORM_WORTH * leads[0].gain
-        others = [lead for lead in leads if lead.gain > worth and lead.ray.effect.form_name != found.effect.form_name]
-        self.bench.plan(len(others) * fit.planned_simulations())
-        least = FORM_WORTH / fit.HOPELESS * self._evidence(found)
-        tries = [fit.refine_if_promising(self.library, self.state, lead.start(), self.x, least) for lead in others]
-        return self._closest([found, *filter(None, tries)])
-
-    def _closest(self, fits: Sequence[Fit]) -> Fit:
-        """The best of several fits; those that come close to it are judged by more simulations first."""
-        bar = CLOSE * max(self._evidence(found) for found in fits)
-        close = [found for found in fits if self._evidence(found) > bar] or fits
-        if len(close) > 1:
-            close = self._judged_again(close)
-        return min(close, key=lambda found: found.score)
-
-    def _judged_again(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Fits judged by more simulations."""
-        self.bench.plan(len(fits) * fit.settling_simulations())
-        return [fit.settle(self.library, found, self.x) for found in fits]
 
     def simplify(self) -> None:
         """Take the first of two effects out again where the second one alone explains as much: a greedy first
@@ -320,7 +269,7 @@ class Investigation:
             return
         bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence_at(SECOND))
         if alone.score < bar + self.null.evidence_at(SECOND):
-            alone = self._settled(alone)
+            alone = settled(self.library, alone, self.x)
             if alone.score < bar:
                 self.undo()
                 self.undo()
@@ -334,76 +283,26 @@ class Investigation:
         self.fits.pop()
         self._gained.pop()
         self.views.pop()
-        self._forget()
 
     def report(self, verdict: Verdict | None = None) -> Report:
         """What has been found so far."""
         return compile_report(self, verdict)
 
     def _keep(self, found: Fit) -> None:
-        self._gained.append(self._evidence(found))
+        self._gained.append(self.contest.evidence(found))
         self.fits.append(found)
         self.views.append(View(self.library, found.state))
-        self._forget()
-
-    def _forget(self) -> None:
-        """Fits into the model as it stood are no fits into this one."""
-        self._tried, self._formed = {}, set()
 
     def _rank_first(self, candidate: Candidate) -> None:
         self.ranking = [candidate, *(c for c in self.ranking if c.effect != candidate.effect)]
 
     # Inside -------------------------------------------------------------------------------------------------
 
-    def _fit_the_best(self, leads: dict[str, list[Lead]]) -> None:
-        """Fit the finalists; those that are contested in all their forms, close rivals with more simulations.
-
-        A fit that ends at no strength does not count: what explains there is what moved beside it.
-        """
-        most = LATER_FINALISTS if self.fits else FINALISTS
-        self.bench.plan(most * fit.planned_simulations())
-        for kind in self._worth_a_fit(leads):
-            to_beat = max(map(self._evidence, self._tried.values()), default=0.0)
-            starts, promised = [lead.start() for lead in leads[kind]], leads[kind][0].gain
-            tried = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
-            if tried is not None and tried.is_some:
-                self._tried[kind] = tried
-            most -= tried is None or tried.is_some
-            if most == 0:
-                break
-        if not self._tried:
-            return
-        # With several things missing it matters little which comes first.
-        far = all(self._far(tried.state) for tried in self._tried.values())
-        contested = self._within(CLOSE if far else CONTESTED)
-        if len(contested) > 1:
-            self._tried |= {kind: self._best_form(self._tried[kind]) for kind in contested}
-            self._formed = set(contested)
-        if not far and len(close := self._within(CLOSE)) > 1:
-            self._tried |= zip(close, self._judged_again([self._tried[kind] for kind in close]), strict=True)
-
-    def _within(self, share: float) -> list[str]:
-        """The fitted effects with more than this share of the best evidence."""
-        best = max(map(self._evidence, self._tried.values()))
-        return [kind for kind, found in self._tried.items() if self._evidence(found) > share * best]
-
-    def _worth_a_fit(self, leads: dict[str, list[Lead]]) -> list[str]:
-        """The leads worth a fit, best first; few where the first is far ahead or none can be convincing."""
-        order = list(leads)
-        gain = [leads[kind][0].gain for kind in order]
-        if self.fits:
-            return [k for i, k in enumerate(order) if i < 1 or gain[i] > PROMISING * self.needed()]
-        return [k for i, k in enumerate(order) if i < 2 or gain[i] > 0.25 * max(gain[0], 1.0)]
-
-    def _evidence(self, found: Fit) -> float:
-        """Twice the log likelihood ratio of a fit against the model as it stands."""
-        return self.state.score(self.x) - found.score
-
     def _candidate(self, found: Fit, near: tuple[str, ...]) -> Candidate:
         """The case of a fitted effect against the model as it stands."""
         before, after = self.state.held_out_error(self.x), found.state.held_out_error(self.x)
         share = float(np.clip((before - after) / max(before - self.state.floor, 1e-9), 0.0, 1.0))
-        gain = max(self._evidence(found), 0.0)
+        gain = max(self.contest.evidence(found), 0.0)
         p = self.null.p_evidence(gain)
         return Candidate(found.effect.kind, p, gain, after, share, found.effect.parameters(), found.sd, near)
 

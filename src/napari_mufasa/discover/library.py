@@ -41,6 +41,8 @@ MATCHING_ROUNDS = 4
 SLOPE_SEEDS = 3
 PARAMETER_STEP, PARAMETER_PRIOR = 0.2, 0.5  # of effects in the model, in log units or quarters of the range
 RAYS = 4  # settings of each effect, plus one for each shape parameter
+AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
+FAR_OFF = 2.5  # an error of more floors than this is far off
 SCALES = (0.12, 0.25, 0.45, 0.7, 1.0, 1.4)
 
 
@@ -106,6 +108,13 @@ class State:
             np.zeros((x.shape[1], 0)), np.zeros(0), np.zeros((2, 0)), self.whiten[held], steps=0,
         )  # fmt: skip
         return float(np.sqrt(np.mean(still.residual**2)))
+
+    def at_floor(self, x: Array) -> bool:
+        return self.held_out_error(x) <= AT_FLOOR * self.floor
+
+    def far_off(self, x: Array) -> bool:
+        """Is so much wrong that several things must be missing?"""
+        return self.held_out_error(x) > FAR_OFF * self.floor
 
     def misfit(self, x: Array) -> float:
         return self.profiled(x).chi2
