@@ -148,6 +148,28 @@ def test_controls_of_a_layer_come_in_a_later_turn(viewer, qtbot):
     assert type(controls.widgets[usual]).__name__ == "QtImageControls"
 
 
+def test_the_selection_of_layers_added_is_told_once_and_in_a_later_turn(viewer, qtbot):
+    """Who follows it then knows what it would know without us: napari's list of layers, and its viewer."""
+    from napari_mufasa.widgets.turns import gently
+
+    first = viewer.add_image(np.zeros((32, 48)), contrast_limits=(0, 1))
+    told = []
+    viewer.layers.selection.events.changed.connect(lambda event: told.append((set(event.added), set(event.removed))))
+    viewer.layers.selection.events.active.connect(lambda event: told.append(event.value))
+    with gently(viewer):
+        gone = viewer.add_points(np.zeros((1, 2)))
+        last = viewer.add_points(np.zeros((1, 2)))
+    assert viewer.layers.selection.active is last and not told
+    qtbot.waitUntil(viewer.window._qt_window.updatesEnabled, timeout=2000)
+    assert told == [({last}, {first}), last] and gone not in viewer.layers.selection
+    rows = viewer.window._qt_viewer.layers
+    assert [index.row() for index in rows.selectionModel().selectedIndexes()] == [0]  # the list shows the last on top
+    assert viewer.help == last.help
+    told.clear()
+    viewer.layers.selection.active = first  # napari's own way is as it was
+    assert first in told
+
+
 def test_viewer_may_close_before_the_controls_came(viewer):
     """What is still to be done holds nothing of it: make_napari_viewer fails a test that leaves a viewer behind."""
     from napari_mufasa.widgets.turns import gently

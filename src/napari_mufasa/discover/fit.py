@@ -34,7 +34,7 @@ LADDER = 2.2  # factor between the strengths tried first
 SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
 ROUND_SIMULATIONS = 9
 WIDE, NARROW = 0.45, 0.2  # spread of the parameters in a round (log units or quarters of the range)
-REACH = 2.5  # prior width of an effect's parameters in spreads of the simulations around it
+LOOSE = 2.5  # prior width of an effect's parameters in spreads of the simulations around it
 MOST_ROUNDS = 3
 HOPELESS = 0.5  # a start with less than this share of the evidence to beat is not fitted further
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
@@ -169,7 +169,7 @@ def _linearised(
         mean=library.base.mean + centre,
         spread=np.sqrt(library.base.spread**2 + (wild**2).sum(axis=0) / (ROUND_SIMULATIONS + PRIOR_SIMULATIONS)),
         slopes=np.concatenate([state.slopes, slopes], axis=2),
-        prior=np.concatenate([state.prior, np.full(n, REACH * width)]),
+        prior=np.concatenate([state.prior, np.full(n, LOOSE * width)]),
     )
 
 
@@ -215,14 +215,14 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     if anew and others:
         steps = free_steps(model, library.nuisances, local.free)[:others]
         fixed = derivatives(library.bench, lambda by: around(np.pad(by, (0, n))), steps, rows[CHECK_SIMULATIONS:])
-    prior = np.concatenate([local.prior[:others], REACH * widths])
+    prior = np.concatenate([local.prior[:others], LOOSE * widths])
     return _judged(library, replace(local, slopes=np.concatenate([fixed, slopes], axis=2), prior=prior), rows, x, n)
 
 
 def lies_beyond(found: Fit, x: Array) -> bool:
     """Whether the effect's best for the measurement x lies beyond the simulations that it was judged by."""
     n = n_effect(found)
-    moves, widths = found.state.profiled(x).moves, found.state.prior / REACH
+    moves, widths = found.state.profiled(x).moves, found.state.prior / LOOSE
     return bool(np.any(np.abs(moves) > widths, where=np.arange(len(moves)) >= len(moves) - n))
 
 

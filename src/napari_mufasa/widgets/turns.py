@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Generator, Iterator
 from typing import TYPE_CHECKING, Any
-from weakref import ref
+from weakref import WeakSet, ref
 
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFrame
@@ -20,19 +20,20 @@ NEXT_TURN_MS = 5  # less than a run's parts are apart
 
 @contextlib.contextmanager
 def gently(viewer: Viewer) -> Iterator[None]:
-    """Add layers here: their controls, and the window's next picture, are made when the interface had its turn.
+    """Add layers here: who follows the selection is told, their controls and the window's next picture are made when
+    the interface had its turn.
 
-    In napari's own call what draws the layer, its controls and, with software rendering, its first picture follow each
-    other without a break.
+    In napari's own call what draws the layer, the news of its selection, its controls and, with software rendering, its
+    first picture follow each other without a break.
     """
     window: Any = getattr(getattr(viewer, "window", None), "_qt_window", None)
     if window is None:  # a viewer without a window
         yield
         return
-    rest = _Rest(window)
+    rest = _Rest(window, viewer.layers)
     window.setUpdatesEnabled(False)
     try:
-        with rest.instead_of_controls(viewer.layers):
+        with rest.instead_of_controls(viewer.layers), rest.untold(viewer.layers):
             yield
     finally:
         rest.in_next_turn()
@@ -44,8 +45,9 @@ class _Rest:
     Leaves the controls to napari where they are kept elsewhere than in version 0.9.
     """
 
-    def __init__(self, window: Any) -> None:
-        self._window = ref(window)  # a timer must not keep what is closed
+    def __init__(self, window: Any, layers: LayerList) -> None:
+        self._window, self._layers = ref(window), ref(layers)  # a timer must not keep what is closed
+        self._told: WeakSet[Any] | None = WeakSet(layers.selection)  # the selection that others know of; None: all
         self._waiting: list[tuple[Any, QFrame]] = []  # the event of a layer's insertion, and its stand-in
 
     @property
@@ -60,10 +62,25 @@ class _Rest:
             return
         inserted.connect(self._stand_in)
         try:
-            with inserted.blocker(controls._add), layers.selection.events.changed.blocker(controls._populate):
+            with inserted.blocker(controls._add):
                 yield
         finally:
             inserted.disconnect(self._stand_in)
+
+    @contextlib.contextmanager
+    def untold(self, layers: LayerList) -> Iterator[None]:
+        """The selection changes, and nobody is told."""
+        events = layers.selection.events
+        with events.changed.blocker(), events.active.blocker(), events._current.blocker():
+            yield
+
+    def _tell(self, layers: LayerList) -> None:
+        """The selection's change, in one."""
+        selection, before = layers.selection, set(self._told or ())
+        self._told = None
+        selection.events.changed(added=selection - before, removed=before - selection)
+        selection.events._current(value=selection._current)
+        selection.events.active(value=selection.active)
 
     def _stand_in(self, event: Any) -> None:
         frame, controls = QFrame(), self._controls
@@ -75,10 +92,13 @@ class _Rest:
         QTimer.singleShot(NEXT_TURN_MS, lambda: self._go_on())  # Qt would hold the method alone weakly
 
     def _go_on(self) -> None:
-        """The controls of one layer each turn, then the picture."""
-        window = self._window()
+        """The selection, the controls of one layer each turn, then the picture."""
+        window, layers = self._window(), self._layers()
         with contextlib.suppress(RuntimeError):  # closed meanwhile
-            if window is not None and self._waiting:
+            if window is not None and layers is not None and self._told is not None:
+                self._tell(layers)
+                self.in_next_turn()
+            elif window is not None and self._waiting:
                 self._replace(*self._waiting.pop(0))
                 self.in_next_turn()
             elif window is not None:
