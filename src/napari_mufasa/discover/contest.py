@@ -22,7 +22,7 @@ FINALISTS, LATER_FINALISTS = 5, 3  # leads that are fitted by simulation, for th
 STARTS = 0.25  # a first effect is fitted from this share of the best lead's evidence
 PROMISING = 0.6  # a further one from this share of the evidence that is needed
 FORM_WORTH = 0.2  # of the evidence: another form is fitted
-FORM_MISFIT = 0.05  # at the floor, with less misfit than chance leaves so often, other forms are not tried
+MISFIT = 0.05  # at the floor, with less misfit than chance leaves so often, a fit is left as it is
 CONTESTED = 0.6  # of the best evidence: contested, each may show its best form
 PLAIN = 15.0  # −2 log likelihood by which another form must be better than the plain one (noise of judging: about 5)
 CLOSE = 0.85  # of the best evidence: rivals and forms are judged by more simulations
@@ -79,6 +79,24 @@ class Contest:
         found = self.tried.get(kind) or fit.refine(self.library, self.state, starts, self.x)
         return found if kind in self.formed else self._best_form(found)
 
+    def settled(self, found: Fit) -> Fit:
+        """The fit judged by more simulations; where it leaves more than chance, also with derivatives of its own, and
+        once more where its best lies beyond what was simulated."""
+        (found,) = judged_again(self.library, [found], self.x)
+        for turn in range(2):
+            if self._content(found) or (turn and not fit.lies_beyond(found, self.x)):
+                break
+            self.library.bench.plan(fit.settling_simulations() + SLOPE_SEEDS * len(found.state.free))
+            again = fit.settle(self.library, found, self.x, anew=True)
+            if again.score >= found.score:
+                break
+            found = again
+        return found
+
+    def _content(self, found: Fit) -> bool:
+        """Is the held-out error at its floor, and no more misfit left than chance leaves?"""
+        return found.state.at_floor(self.x) and self._null().p_misfit(found.misfit) > MISFIT
+
     def _within(self, share: float) -> list[str]:
         """The fitted effects with more than this share of the best evidence."""
         best = max(map(self.evidence, self.tried.values()))
@@ -88,9 +106,8 @@ class Contest:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better; the
         plain one is always among them."""
         plain, form = found.effect.forms()[0], found.effect.form_name
-        content = found.state.at_floor(self.x) and self._null().p_misfit(found.misfit) > FORM_MISFIT
         others: list[Lead] = []
-        if not content:
+        if not self._content(found):
             leads = self.state.screen(self.x, {found.effect.kind: self.library.rays[found.effect.kind]})
             best, *_ = forms = leads[found.effect.kind]
             # A form that is chance itself (a walk, pink noise) promises far less by one simulation than it holds.
@@ -138,18 +155,3 @@ def judged_again(library: Library, fits: Sequence[Fit], x: Array) -> list[Fit]:
     """Fits judged by more simulations."""
     library.bench.plan(len(fits) * fit.settling_simulations())
     return [fit.settle(library, found, x) for found in fits]
-
-
-def settled(library: Library, found: Fit, x: Array) -> Fit:
-    """The fit judged by more simulations; where its held-out error is above the floor, also with derivatives of its
-    own, and once more where its best lies beyond what was simulated."""
-    (found,) = judged_again(library, [found], x)
-    for turn in range(2):
-        if found.state.at_floor(x) or (turn and not fit.lies_beyond(found, x)):
-            break
-        library.bench.plan(fit.settling_simulations() + SLOPE_SEEDS * len(found.state.free))
-        again = fit.settle(library, found, x, anew=True)
-        if again.score >= found.score:
-            break
-        found = again
-    return found

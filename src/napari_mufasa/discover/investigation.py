@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import fit, library
 from napari_mufasa.discover.bench import Bench
-from napari_mufasa.discover.contest import FINALISTS, PROMISING, Contest, settled
+from napari_mufasa.discover.contest import FINALISTS, PROMISING, Contest
 from napari_mufasa.discover.coordinates import moved
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.library import Lead, Library, State
@@ -253,7 +253,7 @@ class Investigation:
             found = fit.refine(self.library, self.state, what, self.x)
         else:
             found = self.contest.fitted(self._starts(kind))
-        found = settled(self.library, found, self.x)
+        found = self.contest.settled(found)
         near = {c.effect: c.indistinguishable_from for c in self.ranking}.get(kind, ())
         others = [c for c in self.ranking if c.effect != kind]
         place = next((i for i, c in enumerate(self.ranking) if c.effect == kind), len(others))
@@ -269,7 +269,7 @@ class Investigation:
             return
         bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence_at(SECOND))
         if alone.score < bar + self.null.evidence_at(SECOND):
-            alone = settled(self.library, alone, self.x)
+            alone = self.contest.settled(alone)
             if alone.score < bar:
                 self.undo()
                 self.undo()
