@@ -7,9 +7,6 @@ agree to the grid error.
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,10 +30,12 @@ def spot_images(
     -------
     (frame, y, x) float32
     """
+    from napari_mufasa.optics_kernels import draw_spots
+
     images = np.zeros((len(photons), *shape_px), dtype=np.float32)
     if np.all(sigma_px == sigma_px[0]):
         sigma_px = sigma_px[:1]
-    _kernel()(
+    draw_spots(
         images,
         np.ascontiguousarray(photons, dtype=np.float64),
         np.ascontiguousarray(positions_px, dtype=np.float64),
@@ -85,47 +84,3 @@ def image_on_grid(
     summed = blurred.reshape(height, factor, width, factor).sum(axis=(1, 3))
     result: NDArray[np.float64] = summed[margin : height - margin, margin : width - margin]
     return result
-
-
-@cache
-def _kernel() -> Any:
-    import math
-
-    import numba
-
-    @numba.njit(cache=True, nogil=True)
-    def shares(at, sigma, length, share):  # type: ignore[no-untyped-def]
-        """The share of a Gaussian at `at` that each of `length` pixels in a line gets: the first pixel, how many."""
-        start = max(0, math.floor(at + 0.5 - REACH_SIGMA * sigma))
-        stop = min(length, math.ceil(at + 0.5 + REACH_SIGMA * sigma))
-        before = math.erf((start - 0.5 - at) / (sigma * math.sqrt(2.0)))
-        for i in range(start, stop):
-            after = math.erf((i + 0.5 - at) / (sigma * math.sqrt(2.0)))
-            share[i - start] = 0.5 * (after - before)
-            before = after
-        return start, max(stop - start, 0)
-
-    @numba.njit(cache=True, nogil=True)
-    def kernel(images, photons, positions, sigma):  # type: ignore[no-untyped-def]
-        n_frames, height, width = images.shape
-        n_molecules = photons.shape[1]
-        at_rest = positions.shape[0] == 1 and sigma.shape[0] == 1
-        size = 2 * math.ceil(REACH_SIGMA * sigma.max()) + 3
-        y_share, x_share = np.empty((n_molecules, size), np.float32), np.empty((n_molecules, size), np.float32)
-        where = np.empty((n_molecules, 4), np.int64)  # first row, rows, first column, columns
-        for f in range(n_frames):
-            fp, fs = min(f, positions.shape[0] - 1), min(f, sigma.shape[0] - 1)
-            for m in range(n_molecules):
-                if f == 0 or not at_rest:
-                    where[m, 0], where[m, 1] = shares(positions[fp, m, 0], sigma[fs, 0], height, y_share[m])
-                    where[m, 2], where[m, 3] = shares(positions[fp, m, 1], sigma[fs, 1], width, x_share[m])
-                n = np.float32(photons[f, m])
-                if n == 0.0:
-                    continue
-                y0, rows, x0, columns = where[m]
-                for i in range(rows):
-                    row = n * y_share[m, i]
-                    for j in range(columns):
-                        images[f, y0 + i, x0 + j] += row * x_share[m, j]
-
-    return kernel

@@ -8,7 +8,6 @@ amplitudes are displacements and changes of width, linear in the data and theref
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -91,6 +90,8 @@ def follow(
 ) -> Spots:  # fmt: skip
     """Measure every spot in every frame; `scale` turns ADU into photoelectrons."""
     n_frames, height, width = movie.shape
+    from napari_mufasa.observe.kernels import amplitudes
+
     n = len(positions)
     if n == 0:
         return _nothing(path, n_frames, len(blocks))
@@ -103,7 +104,7 @@ def follow(
     # A spot that the path takes out of the field is not `inside`; its weights need only be numbers.
     weights = _weights(np.clip(at - corner, 0, size - 1), size, sigma_px)  # (molecule, block, 6, size, size)
     block_of = np.minimum(np.arange(n_frames) * len(blocks) // n_frames, len(blocks) - 1)
-    values = _kernel()(movie, float(baseline_adu), corner, weights[:, :, :3].copy(), block_of) * scale
+    values = amplitudes(movie, float(baseline_adu), corner, weights[:, :, :3].copy(), block_of) * scale
     patches = _patches((blocks - baseline_adu) * scale, corner, size)
     terms = np.einsum("mbkij,mbij->mbk", weights, patches)
     amplitude = terms[:, :, 0]
@@ -212,31 +213,3 @@ def _patches(images: NDArray[np.floating[Any]], corner: NDArray[np.int64], size:
     y = corner[..., 0, None, None] + offsets[:, None]
     x = corner[..., 1, None, None] + offsets[None, :]
     return np.asarray(images[blocks, y, x], dtype=np.float64)
-
-
-@cache
-def _kernel() -> Any:
-    import numba
-
-    @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-    def kernel(movie, baseline, corner, weights, block_of):  # type: ignore[no-untyped-def]
-        n_molecules, _, n_terms, size, _ = weights.shape
-        n_frames = movie.shape[0]
-        result = np.zeros((n_molecules, n_frames, n_terms))
-        values = np.empty(size * size)
-        for m in range(n_molecules):
-            for t in range(n_frames):
-                b = block_of[t]
-                y0, x0 = corner[m, b, 0], corner[m, b, 1]
-                for i in range(size):
-                    for j in range(size):
-                        values[i * size + j] = movie[t, y0 + i, x0 + j] - baseline
-                for k in range(n_terms):
-                    total = 0.0
-                    weight = weights[m, b, k].ravel()
-                    for p in range(size * size):
-                        total += weight[p] * values[p]
-                    result[m, t, k] = total
-        return result
-
-    return kernel
