@@ -251,7 +251,8 @@ def test_diagnose_takes_a_table_of_traces(cli, model_file, tmp_path, monkeypatch
     assert leftovers(tmp_path / "d") == ["distributions.png", "model.json", "report.json", "traces.png"]
     report = json.loads((tmp_path / "d/report.json").read_text())
     assert Model.from_json(tmp_path / "d/model.json") == Model.from_dict(report["model"])
-    assert report["ranking"][0]["parameters"]["rate_per_s"] == pytest.approx(0.5, rel=0.4)
+    # Of 40 traces over 1.2 mean lives, fitted and told apart by two laws: six other movies scatter by e^0.41.
+    assert 0.5 / 4 < report["ranking"][0]["parameters"]["rate_per_s"] < 0.5 * 4
 
 
 def test_compare_finds_the_true_model_nearer_than_a_wrong_one(cli, movie_file, model_file, tmp_path):

@@ -160,7 +160,7 @@ def test_bleaching_frame_and_window():
         assert row.window_start + 30 == end
         assert trace.mean() > 0.7 * row.brightness  # active throughout
     others = found.molecules[~found.kept]["reason"]
-    assert others.str.contains("not among the 10 best|no 30 active frames|border|never on").all()
+    assert others.str.contains("not among the 10 best|no 30 active frames|border|never on|SNR").all()
 
 
 def test_drift_is_followed():
