@@ -135,11 +135,28 @@ def test_null_laws_fit_their_own_samples():
     evidence, misfit = rng.gumbel(5, 3, 4000), rng.gamma(40, 2, 4000)
     null = Null.of(evidence, misfit)
     for p in (0.05, 0.01):
-        assert null.p_evidence(null.evidence_at(p)) == pytest.approx(p)
-        assert null.p_misfit(null.misfit_at(p)) == pytest.approx(p)
+        # Between two freaks (0.3 % of a Gumbel law, 1 in 4000 each) the probability is not reached exactly.
+        assert null.evidence.p(null.evidence.at(p)) == pytest.approx(p, abs=1 / 4000)
+        assert null.misfit.p(null.misfit.at(p)) == pytest.approx(p, abs=1 / 4000)
         # Binomial error of 4000 samples at 5 % is 0.35 %.
-        assert (evidence > null.evidence_at(p)).mean() == pytest.approx(p, abs=0.012)
-        assert (misfit > null.misfit_at(p)).mean() == pytest.approx(p, abs=0.012)
+        assert (evidence > null.evidence.at(p)).mean() == pytest.approx(p, abs=0.012)
+        assert (misfit > null.misfit.at(p)).mean() == pytest.approx(p, abs=0.012)
+
+
+def test_one_freak_does_not_hide_what_the_others_say():
+    rng = np.random.default_rng(7)
+    evidence, misfit = rng.gumbel(5, 3, 72), rng.gamma(40, 2, 72)
+    clean = Null.of(evidence, misfit)
+    evidence[5], misfit[5] = 800.0, 1100.0
+    null = Null.of(evidence, misfit)
+    # By moments of all 72 the 2 % level lies above 260. The freak costs 1 in 72: 2 % leave 0.6 % to the others,
+    # 1.2 scales (4) higher; one value less moves scale and location by a tenth.
+    assert clean.evidence.at(0.02) < null.evidence.at(0.02) < clean.evidence.at(0.02) + 8
+    assert null.evidence.p(200) == pytest.approx(1 / 72, abs=1e-3)
+    assert null.misfit.p(400) == pytest.approx(1 / 72, abs=1e-3)
+    # What is rarer than one in 72 must lie beyond the freak, too.
+    assert null.evidence.at(0.001) == pytest.approx(800)
+    assert null.evidence.p(801) < 1e-6
 
 
 def test_settings_of_every_effect_span_its_range_and_forms():

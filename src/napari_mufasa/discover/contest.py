@@ -95,7 +95,7 @@ class Contest:
 
     def _content(self, found: Fit) -> bool:
         """Is the held-out error at its floor, and no more misfit left than chance leaves?"""
-        return found.state.at_floor(self.x) and self._null().p_misfit(found.misfit) > MISFIT
+        return found.state.at_floor(self.x) and self._null().misfit.p(found.misfit) > MISFIT
 
     def _within(self, share: float) -> list[str]:
         """The fitted effects with more than this share of the best evidence."""

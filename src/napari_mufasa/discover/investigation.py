@@ -193,19 +193,19 @@ class Investigation:
     def needed(self) -> float:
         """The evidence that the next effect must bring."""
         if not self.fits:
-            return self.null.evidence_at(ALARM)
+            return self.null.evidence.at(ALARM)
         # What the first effects leave is also the error of their own form: a further effect must stand out from
         # it, more so where the held-out error is at its floor already.
         at_the_floor = self.state.at_floor(self.x)
         beyond_form = SECOND_SHARE * self.explained * (3.0 if at_the_floor else 1.0)
-        return max(beyond_form, self.null.evidence_at(SECOND**2 if at_the_floor else SECOND))
+        return max(beyond_form, self.null.evidence.at(SECOND**2 if at_the_floor else SECOND))
 
     def alarmed(self) -> bool:
         """Is the model inadequate beyond chance, or a further effect worth a fit?"""
         lead = max((forms[0].gain for forms in self.leads().values()), default=0.0)
         if self.fits:
             return self.far_off or lead > PROMISING * self.needed()
-        return lead > self.needed() or self.null.p_misfit(self.state.misfit(self.x)) < MISFIT_ALARM
+        return lead > self.needed() or self.null.misfit.p(self.state.misfit(self.x)) < MISFIT_ALARM
 
     def convincing(self, best: Candidate) -> bool:
         """Does adding it lower the held-out error, with the evidence that is needed?"""
@@ -217,7 +217,7 @@ class Investigation:
         """Is a held-out error better than that of the state `on`? Where that is at its floor no effect can lower it
         much: sure evidence will do if the error does not rise."""
         before = on.held_out_error(self.x)
-        sure = on.at_floor(self.x) and evidence > self.null.evidence_at(SURE)
+        sure = on.at_floor(self.x) and evidence > self.null.evidence.at(SURE)
         return error < (NOT_RISEN * before if sure else before)
 
     def rank(self) -> list[Candidate]:
@@ -235,7 +235,7 @@ class Investigation:
             self.ranking.append(self._candidate(found, near))
         for kind, (lead, *_) in leads.items():
             if kind not in tried:
-                p = self.null.p_evidence(lead.gain)
+                p = self.null.evidence.p(lead.gain)
                 self.ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, lead.start().parameters(), {}))
         return self.ranking
 
@@ -267,8 +267,8 @@ class Investigation:
             return
         if self.library is not self.first_view.library:  # seen from elsewhere: not comparable
             return
-        bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence_at(SECOND))
-        if alone.score < bar + self.null.evidence_at(SECOND):
+        bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence.at(SECOND))
+        if alone.score < bar + self.null.evidence.at(SECOND):
             alone = self.contest.settled(alone)
             if alone.score < bar:
                 self.undo()
@@ -303,7 +303,7 @@ class Investigation:
         before, after = self.state.held_out_error(self.x), found.state.held_out_error(self.x)
         share = float(np.clip((before - after) / max(before - self.state.floor, 1e-9), 0.0, 1.0))
         gain = max(self.contest.evidence(found), 0.0)
-        p = self.null.p_evidence(gain)
+        p = self.null.evidence.p(gain)
         return Candidate(found.effect.kind, p, gain, after, share, found.effect.parameters(), found.sd, near)
 
     def _starts(self, kind: str) -> list[Effect]:

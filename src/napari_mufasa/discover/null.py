@@ -2,12 +2,15 @@
 
 Base simulations go through the same screening as the measurement. Their largest evidences follow a Gumbel
 law (a maximum over effects), their misfits a scaled chi² (here: a gamma law); the tails are read from the
-fitted laws, since a few dozen simulations cannot show a one-percent tail themselves.
+fitted laws, since a few dozen simulations cannot show a one-percent tail themselves. A few are freaks, though,
+of several hundred: two molecules that chance made neighbours look like one that goes dark. They say nothing
+about the usual ones, and count as what they are: so many among all.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,34 +18,49 @@ from scipy import stats
 
 ALARM = 0.02  # chance level of the evidence that raises the alarm
 MISFIT_ALARM = 0.01  # chance level at which the misfit alone raises it
+FREAK = 3.0  # interquartile ranges above the upper quartile: a Gumbel law has 0.3 % beyond
+
+
+@dataclass(frozen=True)
+class Tail:
+    """How often chance alone reaches a value: the law of the usual values, and the freaks among all, largest first."""
+
+    law: Any  # a frozen law of scipy.stats
+    freaks: NDArray[np.float64]
+    among: int
+
+    def p(self, value: float) -> float:
+        """Probability of more than this."""
+        return float(min(1.0, self.law.sf(value) + (self.freaks > value).sum() / self.among))
+
+    def at(self, p: float) -> float:
+        """The value that chance exceeds with probability p."""
+        beyond = np.arange(len(self.freaks) + 1)  # so many freaks may be larger
+        left = p - beyond / self.among
+        values = np.maximum(self.law.isf(left[left > 0]), np.append(self.freaks, -np.inf)[left > 0])
+        return float(values.min())
+
+
+def usual(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """All values, freaks drawn in to the fence; and the freaks, largest first."""
+    low, high = np.quantile(values, [0.25, 0.75])
+    fence = high + FREAK * (high - low)
+    return np.minimum(values, fence), np.sort(values[values > fence])[::-1]
 
 
 @dataclass(frozen=True)
 class Null:
-    """Laws of the largest evidence and of the misfit when nothing is missing."""
+    """The largest evidence of any effect, and the misfit, when nothing is missing."""
 
-    location: float
-    scale: float
-    shape: float
-    rate: float
+    evidence: Tail
+    misfit: Tail
 
     @classmethod
     def of(cls, evidence: NDArray[np.float64], misfit: NDArray[np.float64]) -> Null:
-        scale = max(float(evidence.std(ddof=1)) * np.sqrt(6) / np.pi, 0.5)
-        location = float(evidence.mean()) - 0.5772 * scale
-        mean, variance = float(misfit.mean()), float(misfit.var(ddof=1))
-        return cls(location, scale, mean**2 / variance, mean / variance)
-
-    def p_evidence(self, gain: float) -> float:
-        """Probability of at least this much evidence for the best effect when nothing is missing."""
-        return float(-np.expm1(-np.exp(-(gain - self.location) / self.scale)))
-
-    def evidence_at(self, p: float) -> float:
-        """The evidence that chance exceeds with probability p."""
-        return float(self.location - self.scale * np.log(-np.log1p(-p)))
-
-    def p_misfit(self, misfit: float) -> float:
-        return float(stats.gamma.sf(misfit, self.shape, scale=1 / self.rate))
-
-    def misfit_at(self, p: float) -> float:
-        return float(stats.gamma.isf(p, self.shape, scale=1 / self.rate))
+        values, freaks = usual(evidence)
+        scale = max(float(values.std(ddof=1)) * np.sqrt(6) / np.pi, 0.5)
+        location = float(values.mean()) - float(np.euler_gamma) * scale
+        by_chance = Tail(stats.gumbel_r(location, scale), freaks, len(values))
+        values, freaks = usual(misfit)
+        mean, variance = float(values.mean()), float(values.var(ddof=1))
+        return cls(by_chance, Tail(stats.gamma(mean**2 / variance, scale=variance / mean), freaks, len(values)))

@@ -51,7 +51,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         curves=draw(inquiry.bench.measured, before, after, interval),
         seconds=inquiry.seconds,
         seed=inquiry.seed,
-        evidence_needed=inquiry.null.evidence_at(ALARM),
+        evidence_needed=inquiry.null.evidence.at(ALARM),
         detectable=detectable(inquiry) if verdict == "adequate" else {},
         notes=[*inquiry.measurement.notes, *_notes(inquiry, verdict, table)],
     )
@@ -74,9 +74,9 @@ def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
         # unless the misfit as a whole is beyond chance, too.
         if inquiry.convincing(inquiry.ranking[0]):
             return "missing_effect"
-        return "unexplained" if inquiry.null.p_misfit(inquiry.state.misfit(inquiry.x)) < MISFIT_ALARM else "adequate"
+        return "unexplained" if inquiry.null.misfit.p(inquiry.state.misfit(inquiry.x)) < MISFIT_ALARM else "adequate"
     share = (errors[0] - errors[-1]) / max(errors[0] - floor, 1e-9)
-    left = inquiry.null.p_misfit(inquiry.state.misfit(inquiry.x))
+    left = inquiry.null.misfit.p(inquiry.state.misfit(inquiry.x))
     far = share < EXPLAINED or errors[-1] > FAR * floor
     return "unexplained" if left < STILL_OFF and far else "missing_effect"
 
@@ -84,7 +84,7 @@ def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
 def detectable(inquiry: Investigation) -> dict[str, float | None]:
     """The smallest strength of each effect that this data would have shown with 80 % power, by the emulator."""
     state, null = inquiry.state, inquiry.null
-    threshold = null.evidence_at(ALARM)
+    threshold = null.evidence.at(ALARM)
     w, spread = state.whiten[0], state.spread[0]
     slope = np.vstack([w @ (state.slopes[0] / spread[:, None]), np.diag(1 / state.prior)])
     q, _ = np.linalg.qr(slope)
