@@ -215,6 +215,8 @@ def background_decay(world: World, s: float, form: int, rng: Rng) -> Found:
         tau, fade = float("nan"), u
     world.background_t = world.background_t * (1.0 - lost * fade)
     found = {} if form == 2 else {"time_constant_s": float(tau * world.movie_s)}
+    if form == 0:
+        found["decaying_share"] = float(lost / (1 - np.exp(-1 / tau)))  # what would be lost in a movie without end
     return {"relative_loss": lost, **found}
 
 

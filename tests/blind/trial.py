@@ -45,7 +45,7 @@ SAME_MEANING = {
     "periodic_modulation": {"amplitude": "amplitude", "period_frames": "period_frames"},
     "stage_drift": {"distance_px": "total_px"},
     "focus_drift": {"widening": "relative_widening"},
-    "background_decay": {"fraction": "relative_loss"},
+    "background_decay": {"fraction": "decaying_share"},
     "em_excess_noise": {"excess_noise_factor": "excess_noise_factor"},
     "clock_induced_charge": {"electrons": "extra_e_per_px"},
     "pixel_gain_variation": {"rms": "gain_sd"},

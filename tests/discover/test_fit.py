@@ -8,6 +8,7 @@ import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.discover import fit
+from napari_mufasa.discover import library as library_module
 from napari_mufasa.discover.coordinates import Coordinate, moved
 from napari_mufasa.discover.library import (
     CHECK_SEED,
@@ -139,7 +140,8 @@ class BentBench(ToyBench):
         return super().law(model) + light * np.roll(self.one, 1) / 6
 
 
-def test_derivatives_taken_anew_bring_nuisance_values_home():
+def test_derivatives_taken_anew_bring_nuisance_values_home(monkeypatch):
+    monkeypatch.setattr(library_module, "matched", lambda bench, model: model)  # a toy has no moments to match
     bench, model = BentBench(), nm.preset("FF")
     values = [n for n in nuisances(model) if n.path == "optics.brightness_correction"]
     rows = bench.rows([(model, k) for k in range(60)])
@@ -161,6 +163,15 @@ def test_derivatives_taken_anew_bring_nuisance_values_home():
     assert home.misfit < stats_limit() and home.score < fit.settle(library, found, x).score
     best = moved(home.state.model, values, home.state.free, home.state.profiled(x).moves)
     assert best.optics.brightness_correction == pytest.approx(light, rel=0.02)
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_nuisance_values_are_matched_again_where_that_is_nearer(library, monkeypatch, better):
+    truth = nm.preset("FF").with_effects(HOT(fraction=5e-3, electrons=8.0))
+    other = nm.preset("FF").with_effects(HOT(fraction=5e-4, electrons=30.0))
+    monkeypatch.setattr(library_module, "matched", lambda bench, model: truth if better else other)
+    x = library.bench.rows([(truth, 996)])[0]
+    assert library_module.rematched(library, library.base, other if better else truth, x) is truth
 
 
 def test_an_effect_of_no_strength_is_none(library):

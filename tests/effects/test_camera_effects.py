@@ -130,6 +130,16 @@ def test_row_noise_is_the_variance_of_row_means(form):
     assert between_rows == pytest.approx(expected, abs=4 * (1 + expected) / np.sqrt(independent))
 
 
+def test_bursts_hit_their_share_of_rows():
+    added = effect("row_noise", rms_adu=20.0, form="bursts", hit_share=0.2)
+    rows = dark(added, n_frames=300, shape=(40, 32))[:, :, 0] + 0.5
+    n = rows.size
+    hit = np.abs(rows) > 0.6  # of the rows that are hit, 1 % have less than half an ADU (sd 45)
+    assert hit.mean() == pytest.approx(0.2 * 0.99, abs=4 * np.sqrt(0.16 / n) + 0.002)
+    # Variance of a square with kurtosis 3/share: (15 − 1) of the variance squared.
+    assert rows.var() == pytest.approx(400 + 1 / 12, rel=4 * np.sqrt(14 / n))
+
+
 def test_hot_pixels_are_as_many_and_as_hot_as_said():
     added = effect("hot_pixels", fraction=0.02, electrons=40.0)
     movie = dark(added, n_frames=200, shape=(100, 100))

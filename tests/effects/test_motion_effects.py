@@ -1,7 +1,5 @@
 """Laws of the sample's motion at strong values."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -31,22 +29,6 @@ def test_stage_drift_moves_the_centroid_by_its_distance(form, angle):
     assert (y1 - y0, x1 - x0) == pytest.approx(expected, abs=2e-3)
     if form == "linear":
         assert moments(movie.optical[5])[1] - x0 == pytest.approx(expected[1] / 2, abs=2e-3)
-
-
-@pytest.mark.parametrize("at", [0.2, 0.64])
-def test_a_bumped_stage_tells_when_and_where_to(at):
-    block_ends = np.linspace(0, 1, 11)
-    bumped = np.clip((block_ends[1:] - at) / 0.1, 0, 1)  # share of each block after the step
-    path = np.outer(bumped, [1.2, -1.6]) + np.random.default_rng(1).normal(0, 0.01, (10, 2))
-    seen = type(effect("stage_drift")).read_off(SimpleNamespace(spots=SimpleNamespace(path_px=path)))
-    assert seen["step_at"] == pytest.approx(at, abs=0.01)
-    assert seen["direction_deg"] == pytest.approx(np.rad2deg(np.arctan2(1.2, -1.6)), abs=1)
-    shift = scene_of(
-        plain(n_frames=201).with_effects(effect("stage_drift", distance_px=2.0, form="step", **seen))
-    ).shift_px
-    moved = np.flatnonzero(shift.any(axis=1))[0] / 200
-    assert moved == pytest.approx(at, abs=0.02)
-    np.testing.assert_allclose(shift[-1], [1.2, -1.6], atol=0.03)
 
 
 def test_stage_drift_moves_all_molecules_alike():

@@ -5,6 +5,7 @@ import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.effects.illumination import IlluminationProfile
+from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
 from napari_mufasa.observe.pixels import block_means
@@ -100,6 +101,44 @@ def test_the_bright_side_is_read_off(added):
     model = small(**{"acquisition.shape_px": (96, 96)})
     seen = added.read_off(observe(nm.simulate(model.with_effects(added), seed=4).movie, model))["direction_deg"]
     assert abs((seen - 200.0 + 180) % 360 - 180) < 15
+
+
+def standing_apart(n_frames=120):
+    """Molecules enough to tell a motion to a twentieth of a pixel in every frame."""
+    return small(n_frames, **{"acquisition.shape_px": (96, 96), "sample.n_molecules": 40, "sample.min_distance_px": 8})
+
+
+@pytest.mark.parametrize("at", [0.2, 0.467, 0.64])
+@pytest.mark.parametrize("distance", [0.8, 3.0])
+def test_a_bumped_stage_tells_when_and_where_to(at, distance):
+    model = standing_apart()
+    bump = StageDrift(form="step", step_at=at, distance_px=distance, direction_deg=200.0)
+    seen = StageDrift.read_off(observe(nm.simulate(model.with_effects(bump), seed=3).movie, model))
+    n = model.acquisition.n_frames
+    # Within a block of n/10 frames the apertures stand still: to the frame it is told by where the light lies in them.
+    assert seen["step_at"] * (n - 1) == pytest.approx(at * (n - 1), abs=1.0)
+    assert seen["direction_deg"] == pytest.approx(200.0, abs=3)
+    path, end = np.array(seen["path"]), [np.sin(np.deg2rad(200)), np.cos(np.deg2rad(200))]
+    # Its unit is the farthest of 30 values, each read to 0.05 px along either axis: up to 0.15 px too far.
+    assert path[-5:].mean(axis=0) * (distance + 0.08) / distance == pytest.approx(end, abs=0.03 + 0.15 / distance)
+    assert path[:5].mean(axis=0) == pytest.approx([0, 0], abs=0.15 / distance)
+
+
+def test_a_wandering_stage_is_seen_finer_than_by_blocks():
+    model = standing_apart()
+    walk = np.cumsum(np.random.default_rng(5).standard_normal((30, 2)), axis=0)
+    walk = (walk - walk[0]) / np.hypot(*(walk - walk[0]).T).max()
+    drift = StageDrift(form="wandering", distance_px=3.0, path=tuple(map(tuple, walk)))
+    spots = observe(nm.simulate(model.with_effects(drift), seed=5).movie, model).spots
+    n = model.acquisition.n_frames
+    at = (np.arange(30) + 0.5) / 30
+    truth = 3 * np.stack([np.interp(np.linspace(0, 1, n), at, along) for along in walk.T], axis=1)
+
+    def rms(motion):
+        error = np.stack([part.mean(axis=0) for part in np.array_split(motion - truth, 30)])
+        return np.sqrt(((error - error.mean(axis=0)) ** 2).mean())
+
+    assert rms(spots.common_motion()) < 0.6 * rms(spots.path_px[np.arange(n) * 10 // n])
 
 
 def test_a_spot_on_the_edge_is_no_background():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from napari_mufasa.discover import fit
 from napari_mufasa.discover.coordinates import changed
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import SLOPE_SEEDS, Lead, Library, State
+from napari_mufasa.discover.library import Lead, Library, State
 from napari_mufasa.discover.null import Null
 from napari_mufasa.effects import Effect
 
@@ -86,7 +86,7 @@ class Contest:
         for turn in range(2):
             if self._content(found) or (turn and not fit.lies_beyond(found, self.x)):
                 break
-            self.library.bench.plan(fit.settling_simulations() + SLOPE_SEEDS * len(found.state.free))
+            self.library.bench.plan(fit.settling_simulations(len(found.state.free)))
             again = fit.settle(self.library, found, self.x, anew=True)
             if again.score >= found.score:
                 break

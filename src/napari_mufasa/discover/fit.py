@@ -17,11 +17,14 @@ from napari_mufasa.discover.coordinates import Coordinate, changed, moved
 from napari_mufasa.discover.library import (
     CHECK_SEED,
     CHECK_SIMULATIONS,
+    SLOPE_SEEDS,
     Library,
     Ray,
     State,
     derivatives,
     free_steps,
+    rematched,
+    rematching_simulations,
     scaled,
     trusted,
 )
@@ -68,8 +71,10 @@ def planned_simulations() -> int:
     return 6 + 2 * ROUND_SIMULATIONS + CHECK_SIMULATIONS
 
 
-def settling_simulations() -> int:
-    return CHECK_SIMULATIONS + SETTLING_SIMULATIONS
+def settling_simulations(n_free: int = 0) -> int:
+    """Of a fit that is judged again; `n_free` values' derivatives and their matching with it, where it is done anew."""
+    anew = SLOPE_SEEDS * n_free + rematching_simulations() if n_free else 0
+    return CHECK_SIMULATIONS + SETTLING_SIMULATIONS + anew
 
 
 def refine(library: Library, state: State, starts: Effect | Sequence[Effect], x: Array) -> Fit:
@@ -185,9 +190,9 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     """The fit judged by more simulations, as suits one that enters the model or has a close rival.
 
     Its effect is moved to its best, and simulated with parameters as far to either side as they are uncertain: few
-    simulations close by cannot tell a small change from their noise. `anew`: all free values are moved, and the
-    derivatives of the others taken again there; where an effect changes what brightness or background do, the base
-    model's derivatives lead astray.
+    simulations close by cannot tell a small change from their noise. `anew`: all free values are moved, or matched
+    again where that is nearer, and the derivatives of the others taken again there; where an effect changes what
+    brightness or background do, the base model's derivatives lead astray.
     """
     if len(found.state.check) > CHECK_SIMULATIONS and not anew:
         return found
@@ -197,6 +202,8 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     if not anew:
         best[:others] = 0.0
     model = moved(local.model, library.nuisances, local.free, best)
+    if anew:
+        model = rematched(library, local, model, x)
     local = replace(local, model=model)
 
     def around(by: Array) -> Model:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,6 @@ Array = NDArray[np.float64]
 SECOND = 0.01  # chance level that every further effect must pass …
 SECOND_SHARE = 0.03  # … with at least this share of the evidence of those before it
 SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
-TRIALS = 4  # simulations that tell which of two models is nearer
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
 
@@ -174,15 +173,9 @@ class Investigation:
             return
         kinds = [kind for kind in self.kinds if kind not in self.chosen]
         self.bench.plan(library.expected_simulations(kinds, len(self.state.free)))
-        model = min(self.model, library.matched(self.bench, self.model), key=self._distance)
+        model = library.rematched(self.library, self.state, self.model, self.x)
         near = library.build(self.bench, model, kinds, self.chosen)
         self.views[-1] = View(near, near.base)
-
-    def _distance(self, model: Model) -> float:
-        """The misfit of a few simulations of a model near the one that stands."""
-        rows = self.bench.rows([(model, k) for k in range(TRIALS)])
-        shift = (rows - self.library.rows[:TRIALS]).mean(axis=0)
-        return replace(self.state, mean=self.library.base.mean + shift).misfit(self.x)
 
     def leads(self) -> dict[str, list[Lead]]:
         """What every effect not yet in the model promises in each of its forms, by the emulator; best first."""

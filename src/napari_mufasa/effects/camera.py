@@ -193,16 +193,23 @@ class RowNoise(Effect):
     rms_adu: float = parameter(
         3.0, ge=0, plausible=(0.2, 20), follows="noise_adu", unit="ADU", log=True, description="rms of the row offsets"
     )
-    form: Literal["rows", "drifting_rows"] = "rows"
+    hit_share: float = parameter(
+        0.1, gt=0, le=1, plausible=(0.03, 0.5), unit="", log=True, description="share of rows that are hit",
+        forms=("bursts",),
+    )  # fmt: skip
+    form: Literal["rows", "drifting_rows", "bursts"] = "rows"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         rms, height = self.rms_adu * _adu(scene), scene.shape_px[0]
 
         def add(electrons: Stack, frames: Frames) -> Stack:
             for i, f in enumerate(frames):
-                noise = rms * scene.streams.of("row noise", int(f)).standard_normal(height)
+                draw = scene.streams.of("row noise", int(f))
+                noise = rms * draw.standard_normal(height)
                 if self.form == "drifting_rows":  # neighbouring rows share their offset
                     noise = np.convolve(np.pad(noise, 4, mode="wrap"), np.ones(9) / 3, mode="valid")
+                elif self.form == "bursts":  # interference that comes now and then
+                    noise *= (draw.random(height) < self.hit_share) / np.sqrt(self.hit_share)
                 electrons[i] += noise[:, None].astype(np.float32)
             return electrons
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 STAGE = "sample motion"
 SEEN_PX = 0.3  # a common path that reaches farther is no noise
+VALUES = 30  # of a path as it was seen
 FIFTHS = 5
 
 
@@ -47,19 +48,22 @@ class StageDrift(Effect):
 
     @classmethod
     def read_off(cls, observation: Observation) -> dict[str, Any]:
-        """The direction is that of the spots' common path, and a path that stands out from its noise is that path.
-
-        A step, if it was one, left the spots displaced for the rest of the movie: their mean displacement times it.
+        """A path that stands out from its noise is the spots' common path. A step, if it was one, came when the motion
+        along the path's end differs most before and after; that difference gives the direction.
         """
-        seen = observation.spots.path_px
-        y, x = seen[-1]
-        along = np.clip(seen @ seen[-1] / max(float(seen[-1] @ seen[-1]), 1e-12), 0, 1)
+        motion = observation.spots.common_motion()
+        along = motion @ observation.spots.path_px[-1]
+        # One frame before, one after at the least.
+        step = 1 + int(np.argmin(np.cumsum(along - along.mean())[:-1])) if len(along) > 1 else 0
+        y, x = motion[step:].mean(axis=0) - motion[: max(step, 1)].mean(axis=0)
+        seen = np.stack([part.mean(axis=0) for part in np.array_split(motion, min(VALUES, len(motion)))])
+        seen -= seen[0]
         extent = float(np.hypot(*seen.T).max())
         direction = {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
         if extent <= SEEN_PX:
             return direction | {"path": ()}
         path = tuple((float(b), float(a)) for b, a in (seen / extent).round(4))
-        return direction | {"path": path, "step_at": float(1 - along.mean())}
+        return direction | {"path": path, "step_at": float((step - 0.5) / max(len(motion) - 1, 1))}
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)

@@ -16,6 +16,7 @@ from scipy import fft, ndimage
 
 Array = NDArray[np.float64]
 THRESHOLD = 6.0  # standard deviations of the matched-filter image
+MOST_BESIDE = 1.5  # px: farther from its aperture a displacement is not linear in its light
 BLOCKS = 10  # time blocks: motion and shape are followed from block to block
 
 
@@ -41,6 +42,23 @@ class Spots:
     shape: Array
     shape_weight: Array
     frame_shift: Array  # (frame, molecule, 2) light times displacement, photoelectrons px
+
+    def common_motion(self) -> Array:
+        """Where all spots are in every frame (frame, 2), px: the path of their apertures, and how far beside it."""
+        n_frames = self.light.shape[1]
+        block_of = block_of_frame(n_frames, len(self.path_px))
+        if not self.inside.any():
+            return self.path_px[block_of]
+        light = self.light[self.inside].sum(axis=0)
+        light = np.maximum(light, 0.25 * light.mean())  # few lit: no jumps from noise
+        beside = self.frame_shift[:, self.inside].sum(axis=1) / light[:, None]
+        found: Array = self.path_px[block_of] + np.clip(beside, -MOST_BESIDE, MOST_BESIDE)
+        return found
+
+
+def block_of_frame(n_frames: int, n_blocks: int) -> NDArray[np.int64]:
+    """The time block of every frame (frame,)."""
+    return np.minimum(np.arange(n_frames) * n_blocks // n_frames, n_blocks - 1)
 
 
 def find_spots(blocks: NDArray[np.float32], sigma_px: float) -> tuple[Array, Array, Array]:
@@ -103,7 +121,7 @@ def follow(
     corner = np.clip(corner, 0, [max(height - size, 0), max(width - size, 0)])
     # A spot that the path takes out of the field is not `inside`; its weights need only be numbers.
     weights = _weights(np.clip(at - corner, 0, size - 1), size, sigma_px)  # (molecule, block, 6, size, size)
-    block_of = np.minimum(np.arange(n_frames) * len(blocks) // n_frames, len(blocks) - 1)
+    block_of = block_of_frame(n_frames, len(blocks))
     values = amplitudes(movie, float(baseline_adu), corner, weights[:, :, :3].copy(), block_of) * scale
     patches = _patches((blocks - baseline_adu) * scale, corner, size)
     terms = np.einsum("mbkij,mbij->mbk", weights, patches)
