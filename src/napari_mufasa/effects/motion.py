@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 STAGE = "sample motion"
 SEEN_PX = 0.3  # a common path that reaches farther is no noise
-VALUES = 30  # of a path as it was seen
+VALUES, PRECISE_PX = 30, 0.03  # most values of a path as it was seen, and how precise each should be
 FIFTHS = 5
 
 
@@ -51,17 +51,19 @@ class StageDrift(Effect):
         """A path that stands out from its noise is the spots' common path. A step, if it was one, came when the motion
         along the path's end differs most before and after; that difference gives the direction.
         """
-        motion = observation.spots.common_motion()
-        along = motion @ observation.spots.path_px[-1]
+        motion, blocks = observation.spots.common_motion(), observation.spots.path_px
+        along = motion @ blocks[-1]
         # One frame before, one after at the least.
         step = 1 + int(np.argmin(np.cumsum(along - along.mean())[:-1])) if len(along) > 1 else 0
         y, x = motion[step:].mean(axis=0) - motion[: max(step, 1)].mean(axis=0)
-        seen = np.stack([part.mean(axis=0) for part in np.array_split(motion, min(VALUES, len(motion)))])
+        direction = {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
+        if np.hypot(*blocks.T).max() <= SEEN_PX:
+            return direction | {"path": ()}
+        noise_px = max(float(np.diff(motion, axis=0).std()) / np.sqrt(2), 1e-6)
+        n = int(np.clip(len(motion) * (PRECISE_PX / noise_px) ** 2, len(blocks), VALUES))
+        seen = np.stack([part.mean(axis=0) for part in np.array_split(motion, min(n, len(motion)))])
         seen -= seen[0]
         extent = float(np.hypot(*seen.T).max())
-        direction = {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
-        if extent <= SEEN_PX:
-            return direction | {"path": ()}
         path = tuple((float(b), float(a)) for b, a in (seen / extent).round(4))
         return direction | {"path": path, "step_at": float((step - 0.5) / max(len(motion) - 1, 1))}
 
