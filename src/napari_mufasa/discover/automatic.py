@@ -37,7 +37,7 @@ def diagnose(
         if helps:
             before = inquiry.state
             inquiry.add(best)
-            helps = inquiry.improves(before, inquiry.state.held_out_error(inquiry.x), best.evidence)  # settled, still?
+            helps = inquiry.improves(before, inquiry.state, best)  # settled, still?
             if helps:
                 inquiry.simplify()
             else:

@@ -202,16 +202,19 @@ class Investigation:
 
     def convincing(self, best: Candidate) -> bool:
         """Does adding it lower the held-out error, with the evidence that is needed?"""
-        if best.error_after is None or best.evidence <= self.needed():
-            return False
-        return self.improves(self.state, best.error_after, best.evidence)
+        found = self.contest.tried.get(best.effect)
+        return found is not None and best.evidence > self.needed() and self.improves(self.state, found.state, best)
 
-    def improves(self, on: State, error: float, evidence: float) -> bool:
-        """Is a held-out error better than that of the state `on`? Where that is at its floor no effect can lower it
-        much: sure evidence will do if the error does not rise."""
-        before = on.held_out_error(self.x)
-        sure = on.at_floor(self.x) and evidence > self.null.evidence.at(SURE)
-        return error < (NOT_RISEN * before if sure else before)
+    def improves(self, on: State, after: State, best: Candidate) -> bool:
+        """Is the held-out error of the state `after` better than that of the state `on`?
+
+        Where that is at its floor no effect can lower it much, and sure evidence will do if the error does not rise.
+        Chance may have kept the effect from the molecules held out; then the base model's error may rise to the floor.
+        """
+        before, error = on.held_out_error(self.x), after.held_out_error(self.x)
+        if not on.at_floor(self.x) or best.evidence <= self.null.evidence.at(SURE):
+            return error < before
+        return error < NOT_RISEN * before or (on is self.first_view.state and after.at_floor(self.x))
 
     def rank(self) -> list[Candidate]:
         """What is missing: the leads, the best of them fitted by direct simulation, best first."""
