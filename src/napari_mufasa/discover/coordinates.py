@@ -67,12 +67,14 @@ class Coordinate:
         return step if there >= 0.99 * back else -step
 
     def sd(self, effect: Effect, sd: float) -> float:
-        """A standard deviation of the coordinate in the parameter's own unit."""
-        return sd * self._unit_at(effect)
+        """A standard deviation of the coordinate in the parameter's own unit: upwards, where a logarithm is uncertain
+        to either side alike."""
+        return float(np.expm1(sd) if self.log else sd) * self._unit_at(effect)
 
     def steps(self, effect: Effect, sd: float) -> float:
         """A standard deviation of the parameter in the coordinate's unit."""
-        return sd / self._unit_at(effect)
+        share = sd / self._unit_at(effect)
+        return float(np.log1p(share)) if self.log else share
 
     def _unit_at(self, effect: Effect) -> float:
         return abs(float(getattr(effect, self.name))) if self.log else self.unit

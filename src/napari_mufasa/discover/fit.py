@@ -44,6 +44,7 @@ FINITE = 0.03  # relative uncertainty of a parameter from the finite number of s
 SETTLING_SIMULATIONS = 24  # around an effect that enters the model …
 FAR = 2.5  # … so many standard deviations of each parameter away
 SURELY_SOME = 2.0  # standard deviations that a strength must be away from none
+FOLDS, LEAST_FOLLOWED = 6, 0.1  # of the simulations around a fit, and how little of the truth it may follow
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
 
@@ -215,15 +216,17 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     offsets = np.zeros((CHECK_SIMULATIONS + SETTLING_SIMULATIONS, len(local.free)))
     offsets[CHECK_SIMULATIONS:, others:] = _design(SETTLING_SIMULATIONS, n, widths, rng)
     numbers = [CHECK_SEED + k for k in range(CHECK_SIMULATIONS)] + list(range(SETTLING_SIMULATIONS))
-    rows = library.bench.rows([(around(by), k) for by, k in zip(offsets, numbers, strict=True)])
-    _, slopes = _regress(offsets[:, others:], rows - _base_rows(library, len(rows)))
-    rows = rows - np.einsum("kd,pod->kpo", offsets[:, others:], slopes)  # as if all were made at the best
+    made = library.bench.rows([(around(by), k) for by, k in zip(offsets, numbers, strict=True)])
+    offsets = offsets[:, others:]
+    _, slopes = _regress(offsets, made - _base_rows(library, len(made)))
+    rows = made - np.einsum("kd,pod->kpo", offsets, slopes)  # as if all were made at the best
     fixed = local.slopes[:, :, :others]
     if anew and others:
         steps = free_steps(model, library.nuisances, local.free)[:others]
         fixed = derivatives(library.bench, lambda by: around(np.pad(by, (0, n))), steps, rows[CHECK_SIMULATIONS:])
     prior = np.concatenate([local.prior[:others], LOOSE * widths])
-    return _judged(library, replace(local, slopes=np.concatenate([fixed, slopes], axis=2), prior=prior), rows, x, n)
+    local = replace(local, slopes=np.concatenate([fixed, slopes], axis=2), prior=prior)
+    return _judged(library, local, rows, x, n, (made, offsets))
 
 
 def lies_beyond(found: Fit, x: Array) -> bool:
@@ -249,8 +252,13 @@ def _base_rows(library: Library, n: int) -> Array:
     return np.concatenate([library.base.check, library.rows])[:n]
 
 
-def _judged(library: Library, local: State, rows: Array, x: Array, n_effect: int) -> Fit:
-    """The fit by simulations of its model, numbered as the base model's check simulations and then as its others."""
+def _judged(
+    library: Library, local: State, rows: Array, x: Array, n_effect: int, around: tuple[Array, Array] | None = None
+) -> Fit:
+    """The fit by simulations of its model, numbered as the base model's check simulations and then as its others.
+
+    `around`: simulations of the same numbers around it, and how far their parameters lie from it.
+    """
     local = replace(local, check=rows)
     state = _of_simulations(library, local, None)
     errors, misfits = [], []
@@ -262,7 +270,12 @@ def _judged(library: Library, local: State, rows: Array, x: Array, n_effect: int
     effect = moved(state.model, library.nuisances, state.free, state.profiled(x).moves).effects[-1]
     misfit = state.misfit(x)
     excess = max(1.0, misfit / float(np.median(misfits)))
-    return Fit(state, effect, _uncertainty(state, n_effect, excess, effect), state.score(x), misfit)
+    # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter.
+    if around is None:
+        scatter = np.std([state.profiled(row).moves[len(state.prior) - n_effect :] for row in rows], axis=0, ddof=1)
+    else:
+        scatter = _calibrated(library, state, *around)
+    return Fit(state, effect, _uncertainty(state, scatter, excess, effect), state.score(x), misfit)
 
 
 def _of_simulations(library: Library, local: State, without: int | None) -> State:
@@ -292,15 +305,31 @@ def _of_simulations(library: Library, local: State, without: int | None) -> Stat
     return replace(local, mean=base_mean + change, spread=spread, whiten=whiten)
 
 
-def _uncertainty(state: State, n_effect: int, excess: float, effect: Effect) -> dict[str, float]:
+def _calibrated(library: Library, state: State, rows: Array, offsets: Array) -> Array:
+    """Standard deviations of the effect's parameters (d,) from simulations (k, part, observable) whose parameters lie
+    `offsets` (k, d) from the best: how much fits scatter whose slopes have not seen them, over how much they follow.
+
+    Slopes of noise follow nothing, however little they scatter.
+    """
+    others, numbers = len(state.free) - offsets.shape[1], np.arange(len(rows))
+    found, change = np.empty(offsets.shape), rows - _base_rows(library, len(rows))
+    for fold in range(FOLDS):
+        unseen = numbers % FOLDS == fold
+        _, slopes = _regress(offsets[~unseen], change[~unseen])
+        unaware = replace(state, slopes=np.concatenate([state.slopes[:, :, :others], slopes], axis=2))
+        found[unseen] = [unaware.profiled(row).moves[others:] for row in rows[unseen]]
+    follow = (found * offsets).sum(axis=0) / (offsets**2).sum(axis=0)
+    scatter: Array = (found - follow * offsets).std(axis=0, ddof=1) / np.clip(follow, LEAST_FOLLOWED, 1.0)
+    return scatter
+
+
+def _uncertainty(state: State, scatter: Array, excess: float, effect: Effect) -> dict[str, float]:
     """Standard deviations of the effect's parameters: noise of the measurement and of the simulations."""
-    n = len(state.prior) - n_effect
+    n = len(state.prior) - len(scatter)
     slope = state.whiten[0] @ (state.slopes[0] / state.spread[0][:, None])
-    loose = np.concatenate([state.prior[:n], np.full(n_effect, 3.0)])
+    loose = np.concatenate([state.prior[:n], np.full(len(scatter), 3.0)])
     covariance = np.linalg.inv(slope.T @ slope + np.diag(1 / loose**2))
-    # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter. Misfit
-    # beyond that of simulations widens either (Birge's ratio): the model is not quite what made the measurement.
-    scatter = np.std([state.profiled(row).moves[n:] for row in state.check], axis=0, ddof=1)
+    # Misfit beyond that of simulations widens either (Birge's ratio): the model is not quite what made the measurement.
     widths = np.maximum(np.sqrt(np.diag(covariance)[n:]), scatter) * np.sqrt(excess)
     named = {}
     for path, sd in zip(state.free[n:], widths, strict=True):
