@@ -97,6 +97,20 @@ class FaintBench(ToyBench):
         return np.array([self.law(model) + noise(model, k) for model, k in jobs])
 
 
+def test_a_parameter_that_does_not_show_is_not_known():
+    """Slopes of nothing but noise would make the value known; fits of simulations that they have not seen do not
+    follow the truth, which tells."""
+    bench = FaintBench()
+    bench.two = np.zeros((3, P))
+    library = library_of(bench)
+    truth = nm.preset("FF").with_effects(HOT(fraction=5e-3, electrons=20.0))
+    for number in range(980, 986):
+        x = bench.rows([(truth, number)])[0]
+        found = fit.settle(library, fit.refine(library, library.base, HOT(fraction=2e-3, electrons=8.0), x), x)
+        assert found.sd["electrons"] > found.effect.electrons  # a factor of two and more
+        assert found.sd["fraction"] < 0.2 * found.effect.fraction
+
+
 def test_what_hardly_shows_is_stated_as_uncertain_as_it_is():
     """Few simulations close to the best would show slopes of nothing but noise, and pass them off as information:
     95 % intervals then hold half of the true values. Of 40 intervals that hold 95 % each, 32 or fewer hold with a
