@@ -1,5 +1,7 @@
 """The table of observables: fixed names, states of traces, parts of the field."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -139,6 +141,13 @@ def test_a_wandering_stage_is_seen_finer_than_by_blocks():
         return np.sqrt(((error - error.mean(axis=0)) ** 2).mean())
 
     assert rms(spots.common_motion()) < 0.6 * rms(spots.path_px[np.arange(n) * 10 // n])
+
+
+def test_spots_without_light_stand_still():
+    model = small()
+    spots = observe(nm.simulate(model, seed=1).movie, model).spots
+    dark = replace(spots, light=np.zeros_like(spots.light), frame_shift=np.zeros_like(spots.frame_shift))
+    np.testing.assert_array_equal(dark.common_motion(), spots.path_px[np.arange(60) * 10 // 60])
 
 
 def test_a_spot_on_the_edge_is_no_background():

@@ -50,7 +50,7 @@ class Spots:
         if not self.inside.any():
             return self.path_px[block_of]
         light = self.light[self.inside].sum(axis=0)
-        light = np.maximum(light, 0.25 * light.mean())  # few lit: no jumps from noise
+        light = np.maximum(light, max(0.25 * float(light.mean()), 1e-6))  # few lit: no jumps from noise
         beside = self.frame_shift[:, self.inside].sum(axis=1) / light[:, None]
         found: Array = self.path_px[block_of] + np.clip(beside, -MOST_BESIDE, MOST_BESIDE)
         return found
