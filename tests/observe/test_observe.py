@@ -14,6 +14,7 @@ from napari_mufasa.observe.pixels import block_means
 from napari_mufasa.observe.spots import follow
 from napari_mufasa.observe.summary import OnStates, _gap_lengths, _slope
 from napari_mufasa.observe.table import Table
+from napari_mufasa.simulation import Acquisition
 
 
 def small(n_frames=60, **values):
@@ -120,7 +121,11 @@ def test_a_bumped_stage_tells_when_and_where_to(at, distance):
     # Within a block of n/10 frames the apertures stand still: to the frame it is told by where the light lies in them.
     assert seen["step_at"] * (n - 1) == pytest.approx(at * (n - 1), abs=1.0)
     assert seen["direction_deg"] == pytest.approx(200.0, abs=3)
-    path, end = np.array(seen["path"]), [np.sin(np.deg2rad(200)), np.cos(np.deg2rad(200))]
+    # What is read off puts the stage where it was.
+    again = Acquisition(model.with_effects(StageDrift(form="step", distance_px=distance, **seen))).scene.shift_px
+    path, end = np.array(seen["path"]), np.array([np.sin(np.deg2rad(200)), np.cos(np.deg2rad(200))])
+    assert np.flatnonzero(again.any(axis=1))[0] == pytest.approx(at * (n - 1), abs=1.5)
+    np.testing.assert_allclose(again[-1], distance * end, atol=0.06 * distance)
     # Each value is read to 0.03 to 0.05 px along either axis.
     assert path[-2:].mean(axis=0) == pytest.approx(end, abs=0.15 / distance)
     assert path[:2].mean(axis=0) == pytest.approx([0, 0], abs=0.15 / distance)
