@@ -180,30 +180,39 @@ def test_viewer_may_close_before_the_controls_came(viewer):
     gc.freeze()  # reference counts alone
 
 
+def drawn(viewer, layer):
+    return viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
+
+
 @pytest.mark.parametrize("kind", ["image", "points"])
-def test_a_layer_hidden_while_it_is_shown_in_turns_shows_all_of_itself_later(viewer, kind):
+def test_a_layer_hidden_while_it_is_shown_in_turns_stays_hidden(viewer, kind):
     from napari.layers import Image, Points
 
     from napari_mufasa.widgets.turns import shown_later
 
-    def drawn():
-        node = viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
-        return [node.visible, *(part.visible for part in getattr(node, "_subvisuals", ()))]
-
     layer = Image(np.eye(9), visible=False) if kind == "image" else Points(np.eye(2), visible=False)
     viewer.add_layer(layer)
-    layer.visible = True
-    complete = drawn()
-    layer.visible = False
     turns = shown_later(viewer, layer)
     next(turns)
     next(turns)  # visible for the viewer, but nothing of it is drawn yet
-    assert layer.visible and sum(drawn()) < sum(complete)
+    assert layer.visible and not drawn(viewer, layer).visible
     layer.visible = False
     list(turns)
-    assert not drawn()[0]
+    assert not drawn(viewer, layer).visible
     layer.visible = True
-    assert drawn() == complete and complete[0]
+    assert drawn(viewer, layer).visible
+
+
+def test_points_draw_labels_once_they_have_any(viewer):
+    from napari_mufasa.widgets.turns import without_labels
+
+    plain = viewer.add_points(np.eye(2), features={"name": ["one", "two"]})
+    labelled = viewer.add_points(np.eye(2), text=["one", "two"])
+    for layer in (plain, labelled):
+        without_labels(viewer, layer)
+    assert not drawn(viewer, plain).text.visible and drawn(viewer, labelled).text.visible
+    plain.text = "name"
+    assert drawn(viewer, plain).text.visible and list(drawn(viewer, plain).text.text) == ["one", "two"]
 
 
 def test_error_is_a_notification_with_its_remedy(bar, qtbot):

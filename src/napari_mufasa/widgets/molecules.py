@@ -16,7 +16,7 @@ from napari_mufasa.widgets.layers import points_on, slim
 from napari_mufasa.widgets.panel import MovieChooser, Panel, takes_the_rest
 from napari_mufasa.widgets.plot import PlotCanvas
 from napari_mufasa.widgets.preferences import preference
-from napari_mufasa.widgets.turns import gently, shown_later
+from napari_mufasa.widgets.turns import gently, shown_later, without_labels
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -134,6 +134,7 @@ class MoleculesPanel(Panel):
         yield
         with gently(self.viewer):
             self.viewer.add_layer(points)
+        without_labels(self.viewer, points)
         self._sets[points] = traces
         points.selected_data.events.items_changed.connect(self._on_selection)
         points.mouse_drag_callbacks.append(self._on_click)

@@ -10,7 +10,7 @@ import numpy as np
 from napari_mufasa.io import METADATA_KEY
 from napari_mufasa.widgets.layers import PLACE, add_movie, points_on
 from napari_mufasa.widgets.places import MOLECULE_WORDS, WORDS, Places, place_of
-from napari_mufasa.widgets.turns import gently
+from napari_mufasa.widgets.turns import gently, without_labels
 
 if TYPE_CHECKING:
     from napari.layers import Image, Points
@@ -149,6 +149,7 @@ class PlaceLayers:
             with gently(self.viewer):
                 self.viewer.add_layer(layer)
                 self.viewer.layers.selection.active = movie
+            without_labels(self.viewer, layer)
         else:
             if not np.array_equal(layer.data, positions):  # after another effect was added they may be other ones
                 layer.data = positions

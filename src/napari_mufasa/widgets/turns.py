@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QFrame
 
 if TYPE_CHECKING:
     from napari.components import LayerList
-    from napari.layers import Layer
+    from napari.layers import Layer, Points
     from napari.viewer import Viewer
 
 NEXT_TURN_MS = 5  # less than a run's parts are apart
@@ -129,36 +129,41 @@ def room_for(viewer: Viewer, shape: tuple[int, ...], scale: Any = None) -> Gener
 
 
 def shown_later(viewer: Viewer, layer: Layer) -> Generator[None, None, None]:
-    """Draw a layer that was added hidden, once the window has drawn what came with it, and its parts in turns.
-
-    napari reads the frame in view first. The first picture of a part builds its shader: the two kinds of markers of a
-    Points layer in one picture take longer than anything else that the interface does.
-    """
+    """Draw a layer that was added hidden, once the window has drawn what came with it: napari reads the frame in view,
+    and the layer's first picture follows a turn later."""
     yield
-    node, parts = _drawn(viewer, layer)
+    node = _drawn(viewer, layer)
     layer.visible = True
-    for part in parts:
-        part.visible = False
-
-    def show(part: Any) -> None:  # the user may have hidden the layer meanwhile
-        part.visible = layer.visible or part is not node
-
+    if node is None:
+        return
+    node.visible = False
     try:
         yield
-        for part in parts:
-            show(part)
-            yield
-        yield
-    finally:  # also when the run is dropped half-way
-        for part in parts:
-            show(part)
+    finally:  # also when the run is dropped half-way; the user may have hidden the layer meanwhile
+        node.visible = layer.visible
+    yield
 
 
-def _drawn(viewer: Viewer, layer: Layer) -> tuple[Any, list[Any]]:
-    """What vispy draws of a layer: its node, and the parts that show or else the node itself; no parts when there is
-    no window or napari keeps it elsewhere."""
+def without_labels(viewer: Viewer, points: Points) -> None:
+    """Leave out the labels of a new layer of points for as long as it has none.
+
+    napari draws an empty one, whose first picture takes longer than that of all the points.
+    """
+    labels = getattr(_drawn(viewer, points), "text", None)
+    if labels is None or getattr(points.text.string, "constant", None) != "":
+        return
+    labels.visible, known = False, ref(labels)
+
+    def show() -> None:
+        if (labels := known()) is not None:
+            labels.visible = True
+
+    points.text.events.connect(show)
+
+
+def _drawn(viewer: Viewer, layer: Layer) -> Any:
+    """What vispy draws of a layer; None when there is no window or napari keeps it elsewhere."""
     with contextlib.suppress(AttributeError, KeyError):
         window: Any = viewer.window._qt_viewer
-        node = window.canvas.layer_to_visual[layer].node
-        return node, [part for part in getattr(node, "_subvisuals", ()) if part.visible] or [node]
-    return None, []
+        return window.canvas.layer_to_visual[layer].node
+    return None
