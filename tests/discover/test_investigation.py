@@ -11,6 +11,7 @@ from napari_mufasa.discover import contest
 from napari_mufasa.discover.coordinates import Coordinate, moved
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.investigation import Investigation
+from napari_mufasa.discover.library import Lead, Ray
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.effects import effect_class
 
@@ -130,3 +131,26 @@ def test_of_close_forms_the_one_that_tells_the_other_half_of_the_field_is_chosen
     judge, _, _ = choice
     forms = fits_of(("linear", "saturating", "wandering"), (-777.0, -799.0, -800.0), (1.09, 1.64, 1.5))
     assert judge._closest(forms).effect.form == "linear"
+
+
+@pytest.mark.parametrize("evidence", [500.0, 5.0])
+def test_a_fit_that_explains_much_and_ends_at_no_strength_gives_the_other_forms_their_turn(monkeypatch, evidence):
+    """It went astray; where it explains no more than chance does, there is none of the effect."""
+    drift, fitted = effect_class("laser_drift"), []
+
+    def refine(library, state, starts, x, to_beat, promised=0.0):
+        fitted.append([start.form for start in starts])
+        astray = len(fitted) == 1
+        effect = drift(form=starts[0].form, change=0.01 if astray else 0.3)
+        return Fit(None, effect, {"change": 0.1}, -evidence if astray else -900.0, 0.0)
+
+    monkeypatch.setattr(contest.fit, "refine_if_promising", refine)
+    monkeypatch.setattr(Fit, "is_some", property(lambda found: abs(found.effect.change) > 0.1))
+    state = SimpleNamespace(score=lambda x: 0.0)
+    null = SimpleNamespace(evidence=SimpleNamespace(at=lambda p: 30.0))
+    leads = [Lead(1000.0, Ray(drift(form=form), None), 1.0) for form in ("saturating", "linear")]
+    found = contest.Contest(None, state, np.zeros((3, 100)), lambda: null)._tried(leads, 0.0)
+    if evidence > 30.0:
+        assert fitted == [["saturating", "linear"], ["linear"]] and found.effect.form == "linear"
+    else:
+        assert len(fitted) == 1 and not found.is_some

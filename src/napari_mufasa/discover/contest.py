@@ -14,7 +14,7 @@ from napari_mufasa.discover import fit
 from napari_mufasa.discover.coordinates import changed
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.library import Lead, Library, State
-from napari_mufasa.discover.null import Null
+from napari_mufasa.discover.null import ALARM, Null
 from napari_mufasa.effects import Effect
 
 Array = NDArray[np.float64]
@@ -54,8 +54,7 @@ class Contest:
         self.library.bench.plan(most * fit.planned_simulations())
         for kind in _worth_a_fit(leads, needed):
             to_beat = max(map(self.evidence, self.tried.values()), default=0.0)
-            starts, promised = [lead.start() for lead in leads[kind]], leads[kind][0].gain
-            tried = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
+            tried = self._tried(leads[kind], to_beat)
             if tried is not None and tried.is_some:
                 self.tried[kind] = tried
             most -= tried is None or tried.is_some
@@ -72,6 +71,17 @@ class Contest:
         if not far and len(close := self._within(CLOSE)) > 1:
             again = judged_again(self.library, [self.tried[kind] for kind in close], self.x)
             self.tried |= zip(close, again, strict=True)
+
+    def _tried(self, forms: Sequence[Lead], to_beat: float) -> Fit | None:
+        """The best of an effect's forms fitted, None where it explains far less than `to_beat`. A fit that explains
+        more than chance and still ends at no strength has gone astray: then the other forms have their turn."""
+        starts, promised = [lead.start() for lead in forms], forms[0].gain
+        found = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
+        if found is None or found.is_some or self.evidence(found) < self._null().evidence.at(ALARM):
+            return found
+        others = [start for start in starts if start.form_name != found.effect.form_name]
+        again = fit.refine_if_promising(self.library, self.state, others, self.x, to_beat) if others else None
+        return again if again is not None and again.is_some else found
 
     def fitted(self, starts: Sequence[Effect]) -> Fit:
         """One effect from the best of `starts`, its forms; where misfit is left, in its best form."""
