@@ -44,10 +44,10 @@ class Contest:
         """Twice the log likelihood ratio of a fit against the model as it stands."""
         return self.state.score(self.x) - found.score
 
-    def run(self, leads: dict[str, list[Lead]], needed: float | None) -> None:
+    def run(self, leads: dict[str, list[Lead]], needed: dict[str, float] | None) -> None:
         """Fit the finalists; those that are contested in all their forms, close rivals with more simulations.
 
-        `needed` is the evidence that a further effect must bring, None for the first one. A fit that ends at no
+        `needed` is the evidence that each further effect must bring, None for the first one. A fit that ends at no
         strength does not count: what explains there is what moved beside it.
         """
         most = FINALISTS if needed is None else LATER_FINALISTS
@@ -152,13 +152,13 @@ class Contest:
         return min(close, key=worse)
 
 
-def _worth_a_fit(leads: dict[str, list[Lead]], needed: float | None) -> list[str]:
+def _worth_a_fit(leads: dict[str, list[Lead]], needed: dict[str, float] | None) -> list[str]:
     """The leads worth a fit, best first; few where the first is far ahead or none can be convincing."""
     order = list(leads)
     gain = [leads[kind][0].gain for kind in order]
     if needed is None:
         return [k for i, k in enumerate(order) if i < 2 or gain[i] > STARTS * max(gain[0], 1.0)]
-    return [k for i, k in enumerate(order) if i < 1 or gain[i] > PROMISING * needed]
+    return [k for i, k in enumerate(order) if i < 1 or gain[i] > PROMISING * needed[k]]
 
 
 def judged_again(library: Library, fits: Sequence[Fit], x: Array) -> list[Fit]:

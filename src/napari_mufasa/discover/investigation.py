@@ -183,27 +183,36 @@ class Investigation:
         leads = self.state.screen(self.x, rays)
         return dict(sorted(leads.items(), key=lambda item: -item[1][0].gain))
 
-    def needed(self) -> float:
-        """The evidence that the next effect must bring."""
+    def needed(self, lead: Lead) -> float:
+        """The evidence that the effect of a lead must bring to enter the model."""
         if not self.fits:
             return self.null.evidence.at(ALARM)
-        # What the first effects leave is also the error of their own form: a further effect must stand out from
-        # it, more so where the held-out error is at its floor already.
-        at_the_floor = self.state.at_floor(self.x)
-        beyond_form = SECOND_SHARE * self.explained * (3.0 if at_the_floor else 1.0)
-        return max(beyond_form, self.null.evidence.at(SECOND**2 if at_the_floor else SECOND))
+        # What the first effects leave is also the error of their own form: where a further effect moves what they
+        # moved, it must stand out from that, more so where the held-out error is at its floor already.
+        shared, at_the_floor = self._shared(lead), self.state.at_floor(self.x)
+        beyond_form = shared * SECOND_SHARE * self.explained * (3.0 if at_the_floor else 1.0)
+        return max(beyond_form, self.null.evidence.at(SECOND ** (1.0 + shared) if at_the_floor else SECOND))
+
+    def _shared(self, lead: Lead) -> float:
+        """How much of what a lead moves the effects in the model have moved before it, 0 … 1."""
+        moved = (self.state.mean - self.first_view.state.mean)[0] / self.first_view.state.spread[0]
+        moves = np.square(lead.ray.shift[0] / self.state.spread[0])
+        return float((moves * moved**2 / (1.0 + moved**2)).sum() / moves.sum())
 
     def alarmed(self) -> bool:
         """Is the model inadequate beyond chance, or a further effect worth a fit?"""
-        lead = max((forms[0].gain for forms in self.leads().values()), default=0.0)
+        leads = [forms[0] for forms in self.leads().values()]
         if self.fits:
-            return self.far_off or lead > PROMISING * self.needed()
-        return lead > self.needed() or self.null.misfit.p(self.state.misfit(self.x)) < MISFIT_ALARM
+            return self.far_off or any(lead.gain > PROMISING * self.needed(lead) for lead in leads)
+        by_effect = any(lead.gain > self.needed(lead) for lead in leads)
+        return by_effect or self.null.misfit.p(self.state.misfit(self.x)) < MISFIT_ALARM
 
     def convincing(self, best: Candidate) -> bool:
         """Does adding it lower the held-out error, with the evidence that is needed?"""
         found = self.contest.tried.get(best.effect)
-        return found is not None and best.evidence > self.needed() and self.improves(self.state, found.state, best)
+        if found is None or best.evidence <= self.needed(self.leads()[best.effect][0]):
+            return False
+        return self.improves(self.state, found.state, best)
 
     def improves(self, on: State, after: State, best: Candidate) -> bool:
         """Is the held-out error of the state `after` better than that of the state `on`?
@@ -221,7 +230,7 @@ class Investigation:
         self.approach()
         self._contest = None
         leads, tried = self.leads(), self.contest.tried
-        self.contest.run(leads, self.needed() if self.fits else None)
+        self.contest.run(leads, {k: self.needed(forms[0]) for k, forms in leads.items()} if self.fits else None)
         if not self.fits:
             self._alone = dict(tried)
         fitted = sorted(tried.items(), key=lambda item: item[1].score)
