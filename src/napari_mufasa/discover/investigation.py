@@ -197,7 +197,7 @@ class Investigation:
         """How much of what a lead moves the effects in the model have moved before it, 0 … 1."""
         moved = (self.state.mean - self.first_view.state.mean)[0] / self.first_view.state.spread[0]
         moves = np.square(lead.ray.shift[0] / self.state.spread[0])
-        return float((moves * moved**2 / (1.0 + moved**2)).sum() / moves.sum())
+        return float((moves * moved**2 / (1.0 + moved**2)).sum() / max(moves.sum(), 1e-9))
 
     def alarmed(self) -> bool:
         """Is the model inadequate beyond chance, or a further effect worth a fit?"""
