@@ -40,11 +40,12 @@ def diagnose(
             helps = inquiry.improves(before, inquiry.state, best)  # settled, still?
             if helps:
                 inquiry.simplify()
+                inquiry.reconsider()
             else:
                 inquiry.undo()
-        fitted_now = {c.effect: c for c in inquiry.ranking if c.effect in inquiry.chosen[-1:]}
+        fitted_now = {c.effect: c for c in inquiry.ranking if c.effect in inquiry.chosen}
         told = [fitted_now.get(c.effect, c) for c in told] or inquiry.ranking
-        told = sorted(told, key=lambda c: c.effect not in inquiry.chosen[:1])
+        told = sorted(told, key=lambda c: c.effect not in inquiry.chosen)
         if not helps:
             break
     inquiry.ranking = told

@@ -187,6 +187,15 @@ def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
     return _judged(library, local, rows, x, n_effect)
 
 
+def without(library: Library, state: State, kind: str, n_effect: int, x: Array) -> Fit:
+    """A state without one of its effects; its last one, with `n_effect` free parameters, judged in its place."""
+    keep = np.array([not path.startswith(f"{kind}.") for path in state.free])
+    model = state.model.model_copy(update={"effects": tuple(e for e in state.model.effects if e.kind != kind)})
+    free = tuple(path for path, stays in zip(state.free, keep, strict=True) if stays)
+    local = replace(state, model=model, free=free, slopes=state.slopes[:, :, keep], prior=state.prior[keep])
+    return judge(library, local, x, n_effect)
+
+
 def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     """The fit judged by more simulations, as suits one that enters the model or has a close rival.
 

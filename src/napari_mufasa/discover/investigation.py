@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 SECOND = 0.01  # chance level that every further effect must pass …
 SECOND_SHARE = 0.03  # … with at least this share of the evidence of those before it
 SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
+RIVAL = 0.4  # of the first effect's evidence: a rival that is looked at again beside the second one
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 
 
@@ -280,6 +281,31 @@ class Investigation:
                 self.undo()
                 self._rank_first(self._candidate(alone, ()))
                 self._keep(alone)
+
+    def reconsider(self) -> None:
+        """Of two effects, exchange the first for a rival that explains more now that the second is there: what was
+        named while something else was missing may have stood in for it."""
+        if len(self.fits) != 2:
+            return
+        (first, second), base = (found.effect.kind for found in self.fits), self.first_view
+        least = base.state.score(self.x) - RIVAL * self._gained[0]
+        rivals = [kind for kind, found in self._alone.items() if kind not in (first, second) and found.score < least]
+        if not rivals:
+            return
+        library = replace(self.library, rays=base.library.rays | self.library.rays)
+        alone = fit.without(library, self.state, first, fit.n_effect(self.fits[1]), self.x)
+        contest = Contest(library, alone.state, self.x, lambda: self.null)
+        contest.tried[first] = fit.refine(library, alone.state, self.fits[0].effect, self.x)
+        contest.run(alone.state.screen(self.x, {kind: library.rays[kind] for kind in rivals}), None)
+        best = min(contest.tried, key=lambda kind: contest.tried[kind].score)
+        if best == first:
+            return
+        found = contest.settled(contest.fitted([contest.tried[best].effect]))
+        if (lead := self.state.score(self.x) - found.score) > 0:
+            self.fits, self._gained = [alone], [base.state.score(self.x) - alone.score]
+            self.views = [base, View(self.library, alone.state)]
+            self._rank_first(self._candidate(found, (first,) if lead < NEAR else ()))
+            self._keep(found)
 
     def undo(self) -> None:
         """Take the last effect out again."""
