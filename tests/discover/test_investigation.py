@@ -10,7 +10,7 @@ import napari_mufasa as nm
 from napari_mufasa.discover import contest
 from napari_mufasa.discover.coordinates import Coordinate, moved
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.investigation import Investigation
+from napari_mufasa.discover.investigation import SECOND, SECOND_SHARE, Investigation
 from napari_mufasa.discover.library import Lead, Ray
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.effects import effect_class
@@ -54,6 +54,48 @@ def test_far_from_the_floor_the_neighbourhood_is_simulated_anew_and_undo_goes_ba
     assert inquiry.library is here and inquiry.explained == gained
     inquiry.undo()
     assert inquiry.library is first and inquiry.state.held_out_error(inquiry.x) == before and inquiry.explained == 0
+
+
+def test_a_further_effect_must_stand_out_only_from_what_the_first_ones_moved(inquiry):
+    inquiry.add("laser_drift")
+    try:
+        by_drift = np.abs(inquiry.state.mean - inquiry.first_view.state.mean)[0] / inquiry.first_view.state.spread[0]
+
+        def needed(observable):
+            shift = np.zeros_like(inquiry.x)
+            shift[:, observable] = inquiry.state.spread[0, observable]
+            return inquiry.needed(Lead(1.0, Ray(effect_class("row_noise")(), shift), 1.0))
+
+        elsewhere, on_the_same = needed(np.argmin(by_drift)), needed(np.argmax(by_drift))
+        assert elsewhere == pytest.approx(inquiry.null.evidence.at(SECOND), rel=0.01)
+        assert on_the_same == pytest.approx(SECOND_SHARE * inquiry.explained, rel=0.01) and on_the_same > 2 * elsewhere
+    finally:
+        inquiry.undo()
+
+
+@pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])
+def test_what_stood_in_for_something_else_is_exchanged_once_a_second_effect_is_there(first):
+    """Falling light lets the spots fade as bleaching does, and the background, too."""
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 60, "acquisition.shape_px": (48, 48), "sample.n_molecules": 14}
+    )
+    truth = model.with_effects(effect_class("laser_drift")(change=-0.4), effect_class("row_noise")(rms_adu=12.0))
+    kinds = ["laser_drift", "photobleaching", "row_noise"]
+    movie = nm.simulate(truth, seed=5).movie
+    inquiry = Investigation(movie, model, nm.simulate_dark(truth, 20, 6), seed=2, effects=kinds)
+    inquiry.rank()
+    inquiry.add(first)
+    inquiry.add("row_noise")
+    explained, error = inquiry.explained, inquiry.state.held_out_error(inquiry.x)
+    inquiry.reconsider()
+    if first == "laser_drift":
+        assert inquiry.chosen == ["laser_drift", "row_noise"] and inquiry.explained == explained
+        return
+    assert inquiry.chosen == ["row_noise", "laser_drift"] and inquiry.explained > explained
+    assert inquiry.state.held_out_error(inquiry.x) < error
+    assert {e.kind for e in inquiry.model.effects} == {"row_noise", "laser_drift"}
+    inquiry.undo()
+    assert inquiry.chosen == ["row_noise"] and {e.kind for e in inquiry.model.effects} == {"row_noise"}
 
 
 def test_an_effect_of_the_model_believed_is_not_added_again(inquiry):
