@@ -60,12 +60,13 @@ def expose(
     block must be given first where the movie has them, and are returned as recorded too.
     """
     # 1 detection: n_ie ~ Poisson(QE x̃ + c)
-    expected = camera.quantum_efficiency * photons + np.float32(camera.clock_induced_charge_e)
+    expected = camera.quantum_efficiency * photons
+    expected += np.float32(camera.clock_induced_charge_e)
     for hook in hooks.expected:
         expected = hook(expected, frames)
     # 2 multiplication or conversion
     excess = multiplication_noise(camera) if hooks.excess_noise_factor is None else hooks.excess_noise_factor
-    from napari_mufasa.camera_kernels import detect, read_out
+    from napari_mufasa.camera_kernels import detect, digitise, read_out
     from napari_mufasa.register import quantile_roots
 
     numbers = np.ascontiguousarray(frames, dtype=np.int64)
@@ -74,7 +75,10 @@ def expose(
     table = quantile_roots() if ideal else np.empty((0, 0), np.float32)
     expected = np.ascontiguousarray(expected, np.float32)
     electrons = detect(expected, shape, kept, numbers, streams.key("detection"), table)
-    electrons = cmos_response(electrons, camera) if camera.type == "CMOS" else electrons * np.float32(_gain(camera))
+    if camera.type == "CMOS":
+        electrons = cmos_response(electrons, camera)
+    else:
+        electrons *= np.float32(_gain(camera))
     # 3 what happens to the charge on its way out
     for hook in hooks.amplified:
         electrons = hook(electrons, frames)
@@ -87,8 +91,9 @@ def expose(
         electrons = hook(electrons, frames)
     # 5 digitisation: min(⌊n_oe/e_per_ADU⌋ + BL, ADC_max), never below 0. A baseline between two counts is
     # added before the floor, or the ½ of the inverse would not undo it.
-    adu = np.floor(electrons / np.float32(camera.electrons_per_adu) + baseline_map_adu(camera))
-    digital: NDArray[np.uint16] = np.clip(adu, 0, camera.adc_max).astype(np.uint16)
+    baseline = np.ascontiguousarray(np.broadcast_to(baseline_map_adu(camera), electrons.shape[1:]))
+    electrons = np.ascontiguousarray(electrons, dtype=np.float32)
+    digital: NDArray[np.uint16] = digitise(electrons, np.float32(camera.electrons_per_adu), baseline, camera.adc_max)
     return digital
 
 

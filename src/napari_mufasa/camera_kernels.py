@@ -79,3 +79,17 @@ def read_out(electrons, sigma, mean, frames, key):  # type: ignore[no-untyped-de
 def add_normal(values, mean, sigma, tail):  # type: ignore[no-untyped-def]
     for x in range(values.size):
         values[x] += mean + sigma[x] * normal_quantile(tail[x])
+
+
+@jit
+def digitise(electrons, electrons_per_adu, baseline, most):  # type: ignore[no-untyped-def]
+    """min(⌊electrons / electrons_per_adu + baseline⌋, most), never below 0; baseline (y, x) float32."""
+    n_frames, height, width = electrons.shape
+    counts = np.empty(electrons.shape, np.uint16)
+    top = np.float32(most)
+    for f in range(n_frames):
+        for y in range(height):
+            for x in range(width):
+                adu = np.floor(electrons[f, y, x] / electrons_per_adu + baseline[y, x])
+                counts[f, y, x] = np.int32(min(max(adu, np.float32(0.0)), top))
+    return counts

@@ -108,8 +108,10 @@ class Scene:
                     for i, f in enumerate(frames)
                 ]
             ).astype(np.float32)  # fmt: skip
-        course = (self.light * self.background)[frames]
-        image += course.astype(np.float32)[:, None, None] * self.background_map().astype(np.float32)
+        course = (self.light * self.background)[frames].astype(np.float32)
+        background = self.background_map().astype(np.float32)
+        for picture, level in zip(image, course, strict=True):
+            picture += level * background
         return image
 
     def record(self, emission: NDArray[np.integer], start: int, stop: int) -> Recording:
