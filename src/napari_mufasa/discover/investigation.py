@@ -19,7 +19,7 @@ from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.contest import FINALISTS, PROMISING, Contest
 from napari_mufasa.discover.coordinates import moved
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import Lead, Library, State
+from napari_mufasa.discover.library import Lead, Library, Ray, State
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
@@ -180,9 +180,7 @@ class Investigation:
 
     def leads(self) -> dict[str, list[Lead]]:
         """What every effect not yet in the model promises in each of its forms, by the emulator; best first."""
-        rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in self.chosen}
-        leads = self.state.screen(self.x, rays)
-        return dict(sorted(leads.items(), key=lambda item: -item[1][0].gain))
+        return self._leads(self.state, {k: rays for k, rays in self.library.rays.items() if k not in self.chosen})
 
     def needed(self, lead: Lead) -> float:
         """The evidence that the effect of a lead must bring to enter the model."""
@@ -287,16 +285,16 @@ class Investigation:
         named while something else was missing may have stood in for it."""
         if len(self.fits) != 2:
             return
-        (first, second), base = (found.effect.kind for found in self.fits), self.first_view
+        base, first = self.first_view, self.chosen[0]
         least = base.state.score(self.x) - RIVAL * self._gained[0]
-        rivals = [kind for kind, found in self._alone.items() if kind not in (first, second) and found.score < least]
+        rivals = [kind for kind, found in self._alone.items() if kind not in self.chosen and found.score < least]
         if not rivals:
             return
         library = replace(self.library, rays=base.library.rays | self.library.rays)
         alone = fit.without(library, self.state, first, fit.n_effect(self.fits[1]), self.x)
         contest = Contest(library, alone.state, self.x, lambda: self.null)
         contest.tried[first] = fit.refine(library, alone.state, self.fits[0].effect, self.x)
-        contest.run(alone.state.screen(self.x, {kind: library.rays[kind] for kind in rivals}), None)
+        contest.run(self._leads(alone.state, {kind: library.rays[kind] for kind in rivals}), None)
         best = min(contest.tried, key=lambda kind: contest.tried[kind].score)
         if best == first:
             return
@@ -336,6 +334,10 @@ class Investigation:
         gain = max(self.contest.evidence(found), 0.0)
         p = self.null.evidence.p(gain)
         return Candidate(found.effect.kind, p, gain, after, share, found.effect.parameters(), found.sd, near)
+
+    def _leads(self, state: State, rays: dict[str, list[Ray]]) -> dict[str, list[Lead]]:
+        """What effects promise beside a state, best first."""
+        return dict(sorted(state.screen(self.x, rays).items(), key=lambda item: -item[1][0].gain))
 
     def _starts(self, kind: str) -> list[Effect]:
         leads = self.leads()
