@@ -18,12 +18,16 @@ from napari_mufasa.effects import effect_class
 KINDS = ["laser_drift", "row_noise", "background_gradient"]
 
 
+def small():
+    return nm.preset("FF").with_values(
+        {"acquisition.n_frames": 60, "acquisition.shape_px": (48, 48), "sample.n_molecules": 14}
+    )
+
+
 @pytest.fixture(scope="module")
 def inquiry():
     """Three strong effects are missing: far from the floor after any one of them."""
-    model = nm.preset("FF").with_values(
-        {"acquisition.n_frames": 60, "acquisition.shape_px": (48, 48), "sample.n_molecules": 14}
-    )
+    model = small()
     strong = [
         effect_class("laser_drift")(change=-0.5),
         effect_class("row_noise")(rms_adu=12.0),
@@ -76,9 +80,7 @@ def test_a_further_effect_must_stand_out_only_from_what_the_first_ones_moved(inq
 @pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])
 def test_what_stood_in_for_something_else_is_exchanged_once_a_second_effect_is_there(first):
     """Falling light lets the spots fade as bleaching does, and the background, too."""
-    model = nm.preset("FF").with_values(
-        {"acquisition.n_frames": 60, "acquisition.shape_px": (48, 48), "sample.n_molecules": 14}
-    )
+    model = small()
     truth = model.with_effects(effect_class("laser_drift")(change=-0.4), effect_class("row_noise")(rms_adu=12.0))
     kinds = ["laser_drift", "photobleaching", "row_noise"]
     movie = nm.simulate(truth, seed=5).movie
