@@ -7,17 +7,9 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover import fit
-from napari_mufasa.discover import library as library_module
+from napari_mufasa.discover import fit, nearing
 from napari_mufasa.discover.coordinates import Coordinate, moved
-from napari_mufasa.discover.library import (
-    CHECK_SEED,
-    CHECK_SIMULATIONS,
-    Library,
-    State,
-    _with_noise_of,
-    derivatives,
-)
+from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, State, _with_noise_of
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.effects import effect_class
 
@@ -51,13 +43,18 @@ def library():
     return library_of(ToyBench())
 
 
-def library_of(bench):
-    model = nm.preset("FF")
+def library_of(bench, model=None, values=()):
+    model = nm.preset("FF") if model is None else model
+    free = tuple(value.path for value in values)
     rows = bench.rows([(model, k) for k in range(60)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
     blank = np.zeros((3, P))
-    bare = State(model, blank, blank, np.zeros((3, P, 0)), np.zeros(0), blank, check, (), np.full(P, 0.1))
-    return Library(bench, _with_noise_of(bare, rows), rows, [], {})
+    steps = [0.1] * len(free)
+    slopes = nearing.derivatives(bench, lambda by: moved(model, values, free, by), steps, rows) if free else 0.0
+    slopes = np.zeros((3, P, len(free))) + slopes
+    prior = np.array([value.prior for value in values])
+    bare = State(model, blank, blank, slopes, prior, blank, check, free, np.full(P, 0.1), tuple(values))
+    return Library(bench, _with_noise_of(bare, rows), rows, {})
 
 
 @pytest.mark.parametrize(("fraction", "electrons"), [(4e-4, 25.0), (5e-3, 4.0), (2e-2, 10.0)])
@@ -155,27 +152,20 @@ class BentBench(ToyBench):
 
 
 def test_derivatives_taken_anew_bring_nuisance_values_home(monkeypatch):
-    monkeypatch.setattr(library_module, "matched", lambda bench, model: model)  # a toy has no moments to match
+    monkeypatch.setattr(nearing, "matched", lambda bench, model: model)  # a toy has no moments to match
     bench, model = BentBench(), nm.preset("FF")
-    values = [n for n in nuisances(model) if n.path == "optics.brightness_correction"]
-    rows = bench.rows([(model, k) for k in range(60)])
-    check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    slopes = derivatives(bench, lambda by: moved(model, values, ["optics.brightness_correction"], by), [0.1], rows)
-    blank = np.zeros((3, P))
-    bare = State(
-        model, blank, blank, slopes, np.array([0.2]), blank, check, ("optics.brightness_correction",), np.full(P, 0.1)
-    )
-    library = Library(bench, _with_noise_of(bare, rows), rows, values, {})
+    values = tuple(n for n in nuisances(model) if n.path == "optics.brightness_correction")
+    library = library_of(bench, model, values)
     light = model.optics.brightness_correction * 1.15
     effect = HOT(fraction=5e-3, electrons=8.0)
     truth = model.with_values({"optics.brightness_correction": light}).with_effects(effect)
     x = bench.rows([(truth, 995)])[0]
     found = fit.judge(library, replace(library.base, model=model.with_effects(effect)), x, 0)
-    far = moved(found.state.model, values, found.state.free, found.state.profiled(x).moves)
+    far = found.state.moved(found.state.profiled(x).moves)
     assert far.optics.brightness_correction < model.optics.brightness_correction  # the wrong way
     home = fit.settle(library, fit.settle(library, found, x, anew=True), x, anew=True)
     assert home.misfit < stats_limit() and home.score < fit.settle(library, found, x).score
-    best = moved(home.state.model, values, home.state.free, home.state.profiled(x).moves)
+    best = home.state.moved(home.state.profiled(x).moves)
     assert best.optics.brightness_correction == pytest.approx(light, rel=0.02)
 
 
@@ -183,9 +173,9 @@ def test_derivatives_taken_anew_bring_nuisance_values_home(monkeypatch):
 def test_nuisance_values_are_matched_again_where_that_is_nearer(library, monkeypatch, better):
     truth = nm.preset("FF").with_effects(HOT(fraction=5e-3, electrons=8.0))
     other = nm.preset("FF").with_effects(HOT(fraction=5e-4, electrons=30.0))
-    monkeypatch.setattr(library_module, "matched", lambda bench, model: truth if better else other)
+    monkeypatch.setattr(nearing, "matched", lambda bench, model: truth if better else other)
     x = library.bench.rows([(truth, 996)])[0]
-    assert library_module.rematched(library, library.base, other if better else truth, x) is truth
+    assert nearing.rematched(library, library.base, other if better else truth, x) == truth
 
 
 def test_an_effect_of_no_strength_is_none(library):
@@ -193,10 +183,11 @@ def test_an_effect_of_no_strength_is_none(library):
     bleaching, drift = effect_class("photobleaching"), effect_class("laser_drift")
     low = bleaching.plausible(library.base.model)["rate_per_s"][0]
 
-    def some(effect, sd):
-        return fit.Fit(library.base, effect, {effect.strength: sd}, 0.0, 0.0).is_some
+    def some(effect, sd, birge=1.0):
+        return fit.Fit(library.base, effect, {effect.strength: sd}, 0.0, 0.0, birge).is_some
 
     assert some(drift(change=-0.05), 0.01) and not some(drift(change=-0.05), 0.03)
+    assert some(drift(change=-0.05), 0.05, birge=5.0)  # so wide for what else is missing
     assert some(bleaching(rate_per_s=3 * low), 2 * low)  # how fast is not known well, that it is there is
     assert some(bleaching(rate_per_s=0.5 * low), 0.1 * low) and not some(bleaching(rate_per_s=0.5 * low), 0.4 * low)
     excess = effect_class("em_excess_noise")
@@ -227,3 +218,26 @@ def test_a_start_that_cannot_win_is_not_fitted_further(library):
     assert found is not None and found.misfit < 0.5 * gain
     nothing = library.bench.rows([(nm.preset("FF"), 996)])[0]
     assert fit.refine(library, library.base, HOT(fraction=0.02), nothing) is not None  # asked for, so fitted
+
+
+class CurvedBench(ToyBench):
+    """The light's effect bends over: from afar its derivative promises a model that is not there."""
+
+    def law(self, model):
+        light = np.log(model.optics.brightness_correction / 2.0)
+        return 40.0 * np.tanh(2.0 * light) * self.one / 6
+
+
+@pytest.mark.parametrize("light", [2.0, 3.6])
+def test_far_from_a_measurement_free_values_go_downhill_as_far_as_simulations_confirm(light):
+    bench, model = CurvedBench(), nm.preset("FF").with_values({"optics.brightness_correction": 2.0})
+    values = tuple(n for n in nuisances(model) if n.path == "optics.brightness_correction")
+    library = library_of(bench, model, values)
+    x = bench.rows([(model.with_values({"optics.brightness_correction": light}), 994)])[0]
+    one_step = library.base.moved(library.base.profiled(x).moves)
+    found = nearing.descended(library, library.base, model, x)
+    if light == 2.0:
+        assert found is model  # nothing is nearer
+        return
+    assert one_step.optics.brightness_correction < 0.9 * light
+    assert found.optics.brightness_correction == pytest.approx(light, rel=0.03)

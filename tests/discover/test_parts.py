@@ -75,9 +75,8 @@ def test_no_free_value_moves_farther_than_the_model_can_follow():
     model = nm.preset("FF").with_effects(lag)
     values = nuisance.nuisances(model)
     free = [n.path for n in values] + ["image_lag.fraction", "image_lag.kept"]
-    prior = np.array([n.prior for n in values] + [1.0, 1.0])
-    ends = room(model, free, prior)
-    np.testing.assert_allclose(ends[1, : len(values)], nuisance.REACH * prior[: len(values)])
+    ends = room(model, values, free)
+    np.testing.assert_allclose(ends[1, : len(values)], [nuisance.REACH * n.prior for n in values])
     for end in ends:
         there = moved(model, values, free, end).effects[0]
         beyond = moved(model, values, free, 2 * end).effects[0]
@@ -85,6 +84,24 @@ def test_no_free_value_moves_farther_than_the_model_can_follow():
         nearer = moved(model, values, free, 0.9 * end).effects[0]
         assert abs(nearer.kept - 0.5) < abs(there.kept - 0.5)
         assert abs(nearer.fraction - 0.02) < abs(there.fraction - 0.02)
+
+
+@pytest.mark.parametrize("towards", [-1.0, 1.0])
+def test_nuisance_values_keep_their_distance_from_where_they_started_however_often_they_are_moved(towards):
+    """What moves on from every model it led to ends with thousands of molecules and another camera's read noise."""
+    model = nm.preset("FF").with_values({"sample.n_molecules": 60, "acquisition.shape_px": (96, 96)})
+    values = nuisance.nuisances(model)
+    free = [n.path for n in values]
+    far = towards * np.array([nuisance.REACH * n.prior for n in values])
+    once = moved(model, values, free, far)
+    again = moved(once, values, free, far)
+    assert once.camera.read_noise_e == pytest.approx(model.camera.read_noise_e * np.exp(towards * 0.2))
+    assert again.camera.read_noise_e == pytest.approx(once.camera.read_noise_e)
+    assert again.optics.psf_fwhm_nm == pytest.approx(once.optics.psf_fwhm_nm)
+    end = room(once, values, free)[1 if towards > 0 else 0]
+    np.testing.assert_allclose(end, 0.0, atol=0.03)  # molecules are whole
+    beyond = model.with_values({"sample.n_molecules": 6000 if towards > 0 else 1})
+    assert nuisance.kept(beyond, values).sample.n_molecules == pytest.approx(60 * np.exp(towards), abs=0.5)
 
 
 def test_a_lead_does_not_take_credit_for_a_value_at_its_end():
@@ -106,6 +123,7 @@ def toy_state(p=25, free=1):
     return State(
         model, np.zeros((3, p)), np.ones((3, p)), slopes, np.full(free, 2.0), np.stack([np.eye(p)] * 3),
         rng.standard_normal((10, 3, p)), ("optics.brightness_correction",) * free, np.full(p, 0.1),
+        tuple(n for n in nuisance.nuisances(model) if n.path == "optics.brightness_correction") * free,
     )  # fmt: skip
 
 

@@ -32,24 +32,27 @@ def diagnose(
     told: list[Candidate] = []  # the ranking a reader wants is that of the base model
     while len(inquiry.chosen) < max_effects and inquiry.leads() and inquiry.alarmed():
         ranking = inquiry.rank()
-        best = next(filter(inquiry.convincing, ranking), ranking[0])
-        helps = inquiry.convincing(best)
-        if helps:
-            before = inquiry.state
-            inquiry.add(best)
-            helps = inquiry.improves(before, inquiry.state, best)  # settled, still?
-            if helps:
-                inquiry.simplify()
-                inquiry.reconsider()
-            else:
-                inquiry.undo()
+        helped = any(inquiry.convincing(candidate) and _holds(inquiry, candidate) for candidate in ranking)
+        if helped:
+            inquiry.simplify()
+            inquiry.reconsider()
         fitted_now = {c.effect: c for c in inquiry.ranking if c.effect in inquiry.chosen}
         told = [fitted_now.get(c.effect, c) for c in told] or inquiry.ranking
         told = sorted(told, key=lambda c: c.effect not in inquiry.chosen)
-        if not helps:
+        if not helped:
             break
     inquiry.ranking = told
     return inquiry.report()
+
+
+def _holds(inquiry: Investigation, candidate: Candidate) -> bool:
+    """Add an effect; take it out again where, once it is settled, there is none of it or it does not help."""
+    before = inquiry.state
+    inquiry.add(candidate)
+    if inquiry.fits[-1].is_some and inquiry.improves(before, inquiry.state, candidate):
+        return True
+    inquiry.undo()
+    return False
 
 
 def refine(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.nuisance import REACH
+from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.effects import Effect
 from napari_mufasa.model import Model
 
@@ -80,7 +80,7 @@ class Coordinate:
         return abs(float(getattr(effect, self.name))) if self.log else self.unit
 
 
-def moved(model: Model, values: list[nuisance.Nuisance], free: Sequence[str], moves: Array) -> Model:
+def moved(model: Model, values: Sequence[Nuisance], free: Sequence[str], moves: Array) -> Model:
     """The model with its free values moved: nuisance values first, then parameters of effects."""
     effects = {effect.kind: effect for effect in model.effects}
     model = nuisance.apply(model, values, moves[: len(values)])
@@ -113,14 +113,14 @@ def hard_limits(effect: Effect, name: str) -> tuple[float, float]:
     return low, high
 
 
-def room(model: Model, free: Sequence[str], prior: Array) -> Array:
-    """How far the free values may move (2, value), down and up: nuisance values by `REACH` of their priors (a data
-    sheet is not wrong by ten standard deviations, whatever that would explain), parameters within their range."""
+def room(model: Model, values: Sequence[Nuisance], free: Sequence[str]) -> Array:
+    """How far the free values may move (2, value), down and up: nuisance values by `REACH` of their priors from where
+    they started (a data sheet is not wrong by ten standard deviations, whatever that would explain, and whatever is
+    added), parameters within their range."""
     effects = {effect.kind: effect for effect in model.effects}
-    ends = [REACH * np.array([-width, width]) for width in prior]
-    for i, path in enumerate(free):
+    ends = [value.room(model) for value in values]
+    for path in free[len(values) :]:
         kind, name = path.rsplit(".", 1)
-        if kind in effects:
-            coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
-            ends[i] = np.array(coordinate.room(effects[kind]))
+        coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
+        ends.append(coordinate.room(effects[kind]))
     return np.array(ends).reshape(-1, 2).T

@@ -13,22 +13,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.discover.coordinates import Coordinate, changed, moved
+from napari_mufasa.discover.coordinates import Coordinate, changed
 from napari_mufasa.discover.library import (
     CHECK_SEED,
     CHECK_SIMULATIONS,
-    SLOPE_SEEDS,
     Library,
     Ray,
     State,
+    scaled,
+)
+from napari_mufasa.discover.metric import shrunk_correlation, whitener
+from napari_mufasa.discover.nearing import (
+    SLOPE_SEEDS,
     derivatives,
     free_steps,
     rematched,
     rematching_simulations,
-    scaled,
     trusted,
 )
-from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.effects import Effect
 from napari_mufasa.model import Model
 
@@ -50,22 +52,25 @@ PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
 @dataclass(frozen=True)
 class Fit:
-    """An effect fitted into a state: the state with it, the effect, its parameters' standard deviations."""
+    """An effect fitted into a state: the state with it, the effect, its parameters' standard deviations, and how much
+    wider these are for misfit that is left (Birge's ratio: the model is not quite what made the measurement)."""
 
     state: State
     effect: Effect
     sd: dict[str, float]
     score: float
     misfit: float
+    birge: float = 1.0
 
     @property
     def is_some(self) -> bool:
-        """Whether there is any of the effect: its strength stands out from its uncertainty or, where only its size in
-        proportion is sure (a logarithmic scale), reaches the plausible range."""
+        """Whether there is any of the effect: its strength stands out from its uncertainty by noise (what else is
+        missing does not make it none) or, where only its size in proportion is sure (a logarithmic scale), reaches the
+        plausible range."""
         name = self.effect.strength
         low, _, log = self.effect.plausible(self.state.model)[name]
         strength = abs(float(getattr(self.effect, name)) - self.effect.null_value)
-        return strength > SURELY_SOME * self.sd.get(name, 0.0) or (log and strength > low)
+        return strength > SURELY_SOME * self.sd.get(name, 0.0) / self.birge or (log and strength > low)
 
 
 def planned_simulations() -> int:
@@ -110,7 +115,7 @@ def refine_if_promising(
     for turn in range(MOST_ROUNDS):
         local = _linearised(library, state, local, coordinates, width, turn)
         moves = local.profiled(x).moves
-        local = replace(local, model=moved(local.model, library.nuisances, local.free, moves))
+        local = replace(local, model=local.moved(moves))
         if width == NARROW:
             break
         far = turn + 2 < MOST_ROUNDS and n > 0 and np.abs(moves[-n:]).max() > 1.5 * width
@@ -211,13 +216,13 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     best = local.profiled(x).moves
     if not anew:
         best[:others] = 0.0
-    model = moved(local.model, library.nuisances, local.free, best)
+    model = local.moved(best)
     if anew:
         model = rematched(library, local, model, x)
     local = replace(local, model=model)
 
     def around(by: Array) -> Model:
-        return moved(model, library.nuisances, local.free, by)
+        return local.moved(by)
 
     uncertain = [c.steps(found.effect, found.sd[c.name]) for c in _own_coordinates(found)]
     widths = np.clip(FAR * np.array(uncertain), NARROW, WIDE)
@@ -231,7 +236,7 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     rows = made - np.einsum("kd,pod->kpo", offsets, slopes)  # as if all were made at the best
     fixed = local.slopes[:, :, :others]
     if anew and others:
-        steps = free_steps(model, library.nuisances, local.free)[:others]
+        steps = free_steps(model, local.values, local.free)[:others]
         fixed = derivatives(library.bench, lambda by: around(np.pad(by, (0, n))), steps, rows[CHECK_SIMULATIONS:])
     prior = np.concatenate([local.prior[:others], LOOSE * widths])
     local = replace(local, slopes=np.concatenate([fixed, slopes], axis=2), prior=prior)
@@ -276,15 +281,15 @@ def _judged(
         errors.append(unaware.held_out_error(rows[i]))
         misfits.append(unaware.misfit(rows[i]))
     state = replace(state, floor=float(np.median(errors)))
-    effect = moved(state.model, library.nuisances, state.free, state.profiled(x).moves).effects[-1]
+    effect = state.moved(state.profiled(x).moves).effects[-1]
     misfit = state.misfit(x)
-    excess = max(1.0, misfit / float(np.median(misfits)))
+    birge = max(1.0, misfit / float(np.median(misfits))) ** 0.5
     # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter.
     if around is None:
         scatter = np.std([state.profiled(row).moves[len(state.prior) - n_effect :] for row in rows], axis=0, ddof=1)
     else:
         scatter = _calibrated(library, state, *around)
-    return Fit(state, effect, _uncertainty(state, scatter, excess, effect), state.score(x), misfit)
+    return Fit(state, effect, _uncertainty(state, scatter, birge, effect), state.score(x), misfit, birge)
 
 
 def _of_simulations(library: Library, local: State, without: int | None) -> State:
@@ -332,14 +337,13 @@ def _calibrated(library: Library, state: State, rows: Array, offsets: Array) -> 
     return scatter
 
 
-def _uncertainty(state: State, scatter: Array, excess: float, effect: Effect) -> dict[str, float]:
+def _uncertainty(state: State, scatter: Array, birge: float, effect: Effect) -> dict[str, float]:
     """Standard deviations of the effect's parameters: noise of the measurement and of the simulations."""
     n = len(state.prior) - len(scatter)
     slope = state.whiten[0] @ (state.slopes[0] / state.spread[0][:, None])
     loose = np.concatenate([state.prior[:n], np.full(len(scatter), 3.0)])
     covariance = np.linalg.inv(slope.T @ slope + np.diag(1 / loose**2))
-    # Misfit beyond that of simulations widens either (Birge's ratio): the model is not quite what made the measurement.
-    widths = np.maximum(np.sqrt(np.diag(covariance)[n:]), scatter) * np.sqrt(excess)
+    widths = np.maximum(np.sqrt(np.diag(covariance)[n:]), scatter) * birge
     named = {}
     for path, sd in zip(state.free[n:], widths, strict=True):
         coordinate = next(c for c in Coordinate.of(effect, state.model) if f"{effect.kind}.{c.name}" == path)

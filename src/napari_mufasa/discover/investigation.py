@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.discover import fit, library
+from napari_mufasa.discover import fit, library, nearing
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.contest import FINALISTS, PROMISING, Contest
-from napari_mufasa.discover.coordinates import moved
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.library import Lead, Library, Ray, State
 from napari_mufasa.discover.measurement import prepare
@@ -137,8 +136,7 @@ class Investigation:
     @property
     def model(self) -> Model:
         """The model as it stands, its free values at their best."""
-        state = self.state
-        return moved(state.model, self.library.nuisances, state.free, state.profiled(self.x).moves)
+        return self.state.moved(self.state.profiled(self.x).moves)
 
     @property
     def explained(self) -> float:
@@ -164,7 +162,7 @@ class Investigation:
         start = self.measurement.model
         simulations = library.expected_simulations(self.kinds, len(nuisances(start)))
         self.bench.plan(simulations + FINALISTS * fit.planned_simulations())
-        near = library.build(self.bench, library.matched(self.bench, start), self.kinds)
+        near = library.build(self.bench, nearing.matched(self.bench, start), self.kinds)
         self.views = [View(near, near.base)]
 
     def approach(self) -> None:
@@ -173,9 +171,11 @@ class Investigation:
         if not self.far_off or self.state is not self.fits[-1].state:
             return
         kinds = [kind for kind in self.kinds if kind not in self.chosen]
-        self.bench.plan(library.expected_simulations(kinds, len(self.state.free)))
-        model = library.rematched(self.library, self.state, self.model, self.x)
-        near = library.build(self.bench, model, kinds, self.chosen)
+        n_free = len(self.state.free)
+        self.bench.plan(nearing.descending_simulations(n_free) + library.expected_simulations(kinds, n_free))
+        model = nearing.rematched(self.library, self.state, self.model, self.x)
+        model = nearing.descended(self.library, self.state, model, self.x)
+        near = library.build(self.bench, model, kinds, self.chosen, self.state.values)
         self.views[-1] = View(near, near.base)
 
     def leads(self) -> dict[str, list[Lead]]:
@@ -282,7 +282,8 @@ class Investigation:
 
     def reconsider(self) -> None:
         """Of two effects, exchange the first for a rival that explains more now that the second is there: what was
-        named while something else was missing may have stood in for it."""
+        named while something else was missing may have stood in for it. Not where more is missing still: far from the
+        measurement everything stands in for something."""
         if len(self.fits) != 2:
             return
         base, first = self.first_view, self.chosen[0]
@@ -299,7 +300,7 @@ class Investigation:
         if best == first:
             return
         found = contest.settled(contest.fitted([contest.tried[best].effect]))
-        if (lead := self.state.score(self.x) - found.score) > 0:
+        if (lead := self.state.score(self.x) - found.score) > 0 and not found.state.far_off(self.x):
             self.fits, self._gained = [alone], [base.state.score(self.x) - alone.score]
             self.views = [base, View(self.library, alone.state)]
             self._rank_first(self._candidate(found, (first,) if lead < NEAR else ()))

@@ -7,7 +7,7 @@ fit (`fit.refine`) decides.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args, get_origin
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.bench import Bench, as_table
+from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.coordinates import Coordinate, changed, moved, room
 from napari_mufasa.discover.metric import (
     SOFT,
@@ -28,6 +28,7 @@ from napari_mufasa.discover.metric import (
     stretch,
     whitener,
 )
+from napari_mufasa.discover.nearing import MATCHING_ROUNDS, SLOPE_SEEDS, derivatives, free_steps
 from napari_mufasa.effects import Effect, catalogue
 from napari_mufasa.model import Model
 from napari_mufasa.observe import PARTS
@@ -36,11 +37,7 @@ Array = NDArray[np.float64]
 BASE_SIMULATIONS = 60
 CHECK_SIMULATIONS = 12  # fresh seeds that no mean, spread or correlation has seen
 CHECK_SEED = 5_000
-MATCHING_SEED = 10_000
-MATCHING_ROUNDS = 4
-TRIALS = 4  # simulations that tell which of two models is nearer
-SLOPE_SEEDS = 3
-PARAMETER_STEP, PARAMETER_PRIOR = 0.2, 0.5  # of effects in the model, in log units or quarters of the range
+PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of the range
 RAYS = 4  # settings of each effect, plus one for each shape parameter
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
 FAR_OFF = 2.5  # an error of more floors than this is far off
@@ -73,9 +70,9 @@ class State:
     """A model with its effects, and what simulations of it show.
 
     mean, spread (part, observable) · slopes (part, observable, free value), free values with prior widths: the
-    nuisance values first, then effect parameters · whiten (part, observable, observable) · check (simulation,
-    part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error that the
-    model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make
+    nuisance values (`values`) first, then effect parameters · whiten (part, observable, observable) · check
+    (simulation, part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error
+    that the model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make
     """
 
     model: Model
@@ -87,7 +84,12 @@ class State:
     check: Array
     free: tuple[str, ...]
     least_spread: Array
+    values: tuple[nuisance.Nuisance, ...] = ()
     floor: float = 1.0
+
+    def moved(self, moves: Array) -> Model:
+        """The model with its free values moved."""
+        return moved(self.model, self.values, self.free, moves)
 
     def profiled(self, x: Array, part: int = 0) -> Profile:
         """The measurement x (part, observable) against this model, free values moved."""
@@ -98,7 +100,7 @@ class State:
     @cached_property
     def room(self) -> Array:
         """How far the free values may move (2, value)."""
-        return room(self.model, self.free, self.prior)
+        return room(self.model, self.values, self.free)
 
     def held_out_error(self, x: Array) -> float:
         """rms whitened residual of the held-out part, free values fitted on the fit part."""
@@ -155,12 +157,11 @@ class State:
 
 @dataclass(frozen=True)
 class Library:
-    """The base state, its paired simulations (simulation, part, observable), nuisance values and rays."""
+    """The base state, its paired simulations (simulation, part, observable) and rays."""
 
     bench: Bench
     base: State
     rows: Array
-    nuisances: list[nuisance.Nuisance]
     rays: dict[str, list[Ray]]
 
     def null_distribution(self, folds: int = 4) -> tuple[Array, Array]:
@@ -188,35 +189,20 @@ def _with_noise_of(state: State, rows: Array) -> State:
     return replace(state, mean=mean, spread=spread, whiten=whiten)
 
 
-def matched(bench: Bench, model: Model) -> Model:
-    """The model with its nuisance values brought near the measurement, by moments."""
-    measured = as_table(bench.names, bench.measured.part("all"))
-    model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
-    for turn in range(MATCHING_ROUNDS):
-        rows = bench.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
-        model = nuisance.match(model, measured, as_table(bench.names, rows[:, 0].mean(axis=0)))
-    return model
-
-
-def rematched(library: Library, state: State, model: Model, x: Array) -> Model:
-    """The model, or the same with its nuisance values matched again: whichever a few simulations put nearer to the
-    measurement x. Hidden effects can lead the first match astray: a pattern of the sensor passes for dim molecules."""
-
-    def distance(candidate: Model) -> float:
-        rows = library.bench.rows([(candidate, k) for k in range(TRIALS)])
-        shift = (rows - library.rows[:TRIALS]).mean(axis=0)
-        return replace(state, mean=library.base.mean + shift).misfit(x)
-
-    return min(model, matched(library.bench, model), key=distance)
-
-
-def build(bench: Bench, model: Model, kinds: Sequence[str], added: Sequence[str] = ()) -> Library:
+def build(
+    bench: Bench,
+    model: Model,
+    kinds: Sequence[str],
+    added: Sequence[str] = (),
+    values: Sequence[nuisance.Nuisance] | None = None,
+) -> Library:
     """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks.
 
-    Free are its nuisance values and the parameters of the effects that were `added`, but for those that are read off
-    the movie; effects of the model believed stay as they are believed.
+    Free are its nuisance values (`values`, which know where they started; None: here) and the parameters of the
+    effects that were `added`, but for those that are read off the movie; effects of the model believed stay as they
+    are believed.
     """
-    values = nuisance.nuisances(model)
+    values = nuisance.nuisances(model) if values is None else values
     free = [n.path for n in values]
     for effect in model.effects:
         seen = effect.read_off(bench.measured) if effect.kind in added else {}
@@ -228,21 +214,11 @@ def build(bench: Bench, model: Model, kinds: Sequence[str], added: Sequence[str]
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
     slopes = derivatives(bench, lambda by: moved(model, values, free, by), steps, rows)
     blank = np.zeros(rows.shape[1:])
-    bare = State(model, blank, blank, slopes, prior, blank, check, tuple(free), spread_floor(bench.names))
+    least = spread_floor(bench.names)
+    bare = State(model, blank, blank, slopes, prior, blank, check, tuple(free), least, tuple(values))
     base = _with_noise_of(bare, rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
-    return Library(bench, base, rows, values, _rays(bench, model, rows, kinds))
-
-
-def free_steps(model: Model, values: Sequence[nuisance.Nuisance], free: Sequence[str]) -> list[float]:
-    """The step of each free value for its derivative, within its range."""
-    effects = {effect.kind: effect for effect in model.effects}
-    steps = [n.step if j % 2 else -n.step for j, n in enumerate(values)]
-    for path in free[len(values) :]:
-        kind, name = path.rsplit(".", 1)
-        coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
-        steps.append(coordinate.inward(effects[kind], PARAMETER_STEP))
-    return steps
+    return Library(bench, base, rows, _rays(bench, model, rows, kinds))
 
 
 def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict[str, list[Ray]]:
@@ -256,21 +232,6 @@ def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict
     for (effect, number), row in zip(jobs, found, strict=True):
         rays[effect.kind].append(Ray(effect, row - rows[number]))
     return rays
-
-
-def derivatives(bench: Bench, model_at: Callable[[Array], Model], steps: list[float], base: Array) -> Array:
-    """Derivatives of the observables (part, observable, free value), by differences of paired simulations."""
-    jobs = [(model_at(by), k) for by in np.diag(steps) for k in range(SLOPE_SEEDS)]
-    rows = bench.rows(jobs).reshape(len(steps), SLOPE_SEEDS, *base.shape[1:])
-    change = rows - base[:SLOPE_SEEDS]
-    mean, variance = change.mean(axis=1), change.var(axis=1, ddof=1) / SLOPE_SEEDS
-    return np.moveaxis(mean * trusted(mean, variance) / np.array(steps)[:, None, None], 0, -1)
-
-
-def trusted(derivative: Array, variance: Array) -> Array:
-    """The share of a derivative that stands out from its own error: the rest is noise, drawn towards zero."""
-    share: Array = np.clip(1 - 2 * variance / np.maximum(derivative**2, 1e-300), 0.0, 1.0)
-    return share
 
 
 def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -> list[Effect]:
@@ -312,11 +273,6 @@ def scaled(effect: Effect, scale: float) -> Effect:
     """The effect with its strength moved to `scale` of the way from none."""
     name, null = effect.strength, effect.null_value
     return changed(effect, {name: null + (float(getattr(effect, name)) - null) * scale})
-
-
-def rematching_simulations() -> int:
-    """How many simulations `rematched` makes."""
-    return 2 * MATCHING_ROUNDS + 2 * TRIALS
 
 
 def expected_simulations(kinds: Sequence[str], n_free: int) -> int:

@@ -6,8 +6,8 @@ baseline and density are free; gain and read noise may move only as far as data 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,24 +20,34 @@ REACH = 2.5  # how many widths of its prior a value may move
 
 @dataclass(frozen=True)
 class Nuisance:
-    """A value of the model, its scale ("log" or units of its own), step for derivatives and prior width."""
+    """A value of the model, its scale ("log" or units of its own), step for derivatives, prior width, and the value
+    that the prior is about."""
 
     path: str
     log: bool
     step: float
     prior: float
+    origin: float = 0.0
 
     def moved(self, model: Model, by: float) -> dict[str, Any]:
-        """The changed value, as `Model.with_values` takes it."""
-        value = _get(model, self.path)
+        """The changed value, as `Model.with_values` takes it; within its room."""
+        value, by = _get(model, self.path), float(np.clip(by, *self.room(model)))
         new = value * np.exp(by) if self.log else value + by
         if self.path == "sample.n_molecules":
             return {self.path: _that_fit(model, new)}
-        return {self.path: max(float(new), 0.0)}
+        return {self.path: float(new)}
+
+    def room(self, model: Model) -> tuple[float, float]:
+        """How far the value may move down and up, to stay within `REACH` of its origin and not below zero."""
+        value, reach = float(_get(model, self.path)), REACH * self.prior
+        if self.log:
+            away = float(np.log(max(value, 1e-9) / self.origin))
+            return -reach - away, reach - away
+        return max(self.origin - reach, 0.0) - value, self.origin + reach - value
 
 
 def nuisances(model: Model) -> list[Nuisance]:
-    """The nuisance values of a model: rates that it has, and what every movie has."""
+    """The nuisance values of a model, which is their origin: rates that it has, and what every movie has."""
     adu = 0.3 / photoelectrons_per_adu(model)  # 0.3 photoelectrons
     found = [
         Nuisance("optics.brightness_correction", True, 0.08, 0.5),
@@ -51,16 +61,20 @@ def nuisances(model: Model) -> list[Nuisance]:
         Nuisance("fluorophore.isc_ratio", True, 0.3, 0.12),
         Nuisance("fluorophore.triplet_decay_rate_per_s", True, 0.3, 0.12),
     ]
-    return [n for n in found if _present(model, n)]
+    return [replace(n, origin=float(_get(model, n.path))) for n in found if _present(model, n)]
 
 
-def apply(model: Model, names: list[Nuisance], by: np.ndarray[Any, np.dtype[np.float64]]) -> Model:
-    """The model with nuisance coordinates moved by `by` (one per nuisance)."""
-    values: dict[str, Any] = {}
-    for nuisance, step in zip(names, by, strict=True):
-        reach = REACH * nuisance.prior
-        values |= nuisance.moved(model, float(np.clip(step, -reach, reach)))
-    return model.with_values(values)
+def apply(model: Model, values: Sequence[Nuisance], by: Iterable[float]) -> Model:
+    """The model with nuisance coordinates moved by `by` (one per value), within their room."""
+    changes: dict[str, Any] = {}
+    for value, step in zip(values, by, strict=True):
+        changes |= value.moved(model, step)
+    return model.with_values(changes)
+
+
+def kept(model: Model, values: Sequence[Nuisance]) -> Model:
+    """The model with every nuisance value in its room."""
+    return apply(model, values, np.zeros(len(values)))
 
 
 def with_molecules(model: Model, n: float) -> Model:
