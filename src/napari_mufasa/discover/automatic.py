@@ -42,6 +42,7 @@ def diagnose(
         if not helped:
             break
     inquiry.ranking = told
+    inquiry.approach()  # still far off: what is told of the model is what simulations around it show
     return inquiry.report()
 
 

@@ -224,7 +224,7 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     def around(by: Array) -> Model:
         return local.moved(by)
 
-    uncertain = [c.steps(found.effect, found.sd[c.name]) for c in _own_coordinates(found)]
+    uncertain = [c.steps(found.effect, found.sd[c.name] / found.birge) for c in _own_coordinates(found)]
     widths = np.clip(FAR * np.array(uncertain), NARROW, WIDE)
     rng = np.random.default_rng([library.bench.seed, SETTLING_SIMULATIONS])
     offsets = np.zeros((CHECK_SIMULATIONS + SETTLING_SIMULATIONS, len(local.free)))

@@ -166,8 +166,8 @@ class Investigation:
         self.views = [View(near, near.base)]
 
     def approach(self) -> None:
-        """Where the model is still far off: simulate the neighbourhood anew around it, its nuisance values as they
-        were fitted or matched again, whichever is nearer."""
+        """Where the model is still far off: simulate the neighbourhood anew around it, its free values moved downhill
+        from where they were fitted or, where that is nearer, nuisance values matched again."""
         if not self.far_off or self.state is not self.fits[-1].state:
             return
         kinds = [kind for kind in self.kinds if kind not in self.chosen]
