@@ -9,6 +9,7 @@ from napari_mufasa.discover import metric, nuisance
 from napari_mufasa.discover.coordinates import changed, moved, room
 from napari_mufasa.discover.library import Ray, State, ray_settings, scaled, two_sided
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
+from napari_mufasa.discover.nearing import free_steps
 from napari_mufasa.discover.null import Null
 from napari_mufasa.effects import catalogue, effect_class
 
@@ -100,6 +101,8 @@ def test_nuisance_values_keep_their_distance_from_where_they_started_however_oft
     assert again.optics.psf_fwhm_nm == pytest.approx(once.optics.psf_fwhm_nm)
     end = room(once, values, free)[1 if towards > 0 else 0]
     np.testing.assert_allclose(end, 0.0, atol=0.03)  # molecules are whole
+    steps = free_steps(once, values, free)  # derivatives are taken where the values can go
+    np.testing.assert_allclose(np.clip(steps, *room(once, values, free)), steps, atol=0.03)
     beyond = model.with_values({"sample.n_molecules": 6000 if towards > 0 else 1})
     assert nuisance.kept(beyond, values).sample.n_molecules == pytest.approx(60 * np.exp(towards), abs=0.5)
 

@@ -83,7 +83,7 @@ def _unmoved(state: State, x: Array) -> float:
 def free_steps(model: Model, values: Sequence[nuisance.Nuisance], free: Sequence[str]) -> list[float]:
     """The step of each free value for its derivative, within its range."""
     effects = {effect.kind: effect for effect in model.effects}
-    steps = [n.step if j % 2 else -n.step for j, n in enumerate(values)]
+    steps = [n.inward(model, n.step if j % 2 else -n.step) for j, n in enumerate(values)]
     for path in free[len(values) :]:
         kind, name = path.rsplit(".", 1)
         coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)

@@ -45,6 +45,12 @@ class Nuisance:
             return -reach - away, reach - away
         return max(self.origin - reach, 0.0) - value, self.origin + reach - value
 
+    def inward(self, model: Model, step: float) -> float:
+        """A step of that size that the room does not cut short."""
+        low, high = self.room(model)
+        there, back = abs(np.clip(step, low, high)), abs(np.clip(-step, low, high))
+        return step if there >= 0.99 * back else -step
+
 
 def nuisances(model: Model) -> list[Nuisance]:
     """The nuisance values of a model, which is their origin: rates that it has, and what every movie has."""
