@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover import contest
+from napari_mufasa.discover import automatic, contest
 from napari_mufasa.discover.coordinates import Coordinate, moved
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.investigation import SECOND, SECOND_SHARE, Investigation
@@ -98,6 +98,21 @@ def test_what_stood_in_for_something_else_is_exchanged_once_a_second_effect_is_t
     assert {e.kind for e in inquiry.model.effects} == {"row_noise", "laser_drift"}
     inquiry.undo()
     assert inquiry.chosen == ["row_noise"] and {e.kind for e in inquiry.model.effects} == {"row_noise"}
+
+
+@pytest.mark.parametrize(("is_some", "improves"), [(True, True), (False, True), (True, False)])
+def test_an_effect_that_is_none_or_does_not_help_once_it_is_settled_is_taken_out_again(is_some, improves):
+    steps = []
+    inquiry = SimpleNamespace(
+        state="before",
+        fits=[SimpleNamespace(is_some=is_some)],
+        add=lambda candidate: steps.append("add"),
+        undo=lambda: steps.append("undo"),
+        improves=lambda before, after, candidate: improves and before == "before",
+    )
+    kept = is_some and improves
+    assert automatic._holds(inquiry, "candidate") is kept
+    assert steps == (["add"] if kept else ["add", "undo"])
 
 
 def test_an_effect_of_the_model_believed_is_not_added_again(inquiry):
