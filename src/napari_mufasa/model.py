@@ -118,6 +118,12 @@ class Optics(Part):
         le=1e6,
         description="fitted factor on the brightness believed (power × collection); 1 = as believed",
     )
+    emission_noise: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="share of the variance of emitted photons that detection adds its own to; 0 = counted once",
+    )
     high_resolution_factor: int | None = Field(
         None,
         ge=1,

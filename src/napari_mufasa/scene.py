@@ -83,7 +83,7 @@ class Scene:
         everywhere = self.light_at(y, x) * _product(self.background_field, y, x)
         return self.model.optics.background_photons_per_px * everywhere
 
-    def optical(self, emission: NDArray[np.integer], frames: NDArray[np.int64]) -> NDArray[np.float32]:
+    def optical(self, emission: NDArray[Any], frames: NDArray[np.int64]) -> NDArray[np.float32]:
         """(frame, y, x) expected photons on the detector for these frames of an emission (molecule, frame)."""
         optical = self.model.optics
         share = optical.collection_efficiency * optical.brightness_correction * self.brightness
@@ -114,7 +114,7 @@ class Scene:
             picture += level * background
         return image
 
-    def record(self, emission: NDArray[np.integer], start: int, stop: int) -> Recording:
+    def record(self, emission: NDArray[Any], start: int, stop: int) -> Recording:
         """Frames start … stop−1 of the movie and their optical images; memory is that of the block."""
         frames = np.arange(max(0, start - self.sensor.memory_frames), stop)
         image = self.optical(emission, frames)

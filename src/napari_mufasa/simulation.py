@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +45,8 @@ class Simulation:
 class Acquisition:
     """A simulated acquisition whose frames are recorded on demand, block by block.
 
-    Holds the emission (molecule, frame) and courses per frame, never the movie: use it to stream movies
-    larger than memory.
+    Holds the emission, the light that images are made of (each (molecule, frame), photons) and courses per frame,
+    never the movie: use it to stream movies larger than memory.
     """
 
     def __init__(
@@ -63,11 +64,16 @@ class Acquisition:
         self.model = model
         self.seed = seed
         self.scene: Scene = build_scene(model, positions, streams)
-        self.emission = _emit(self.scene, engine)
+        self.emission, expected = _emit(self.scene, engine)
+        self.light = _light(self.emission, expected, model.optics.emission_noise)
 
     @property
     def n_frames(self) -> int:
         return self.scene.n_frames
+
+    def record_instead(self, emission: NDArray[Any]) -> None:
+        """Record another emission (molecule, frame) in the same scene, with all its noise."""
+        self.emission = self.light = emission
 
     def block_frames(self) -> int:
         """Frames per block: about `BLOCK_BYTES` of optical image."""
@@ -89,7 +95,7 @@ class Acquisition:
             upcoming = iter(slices)
             for _ in slices:
                 while len(pending) < workers + 1 and (span := next(upcoming, None)) is not None:
-                    pending.append((span, pool.submit(self.scene.record, self.emission, span.start, span.stop)))
+                    pending.append((span, pool.submit(self.scene.record, self.light, span.start, span.stop)))
                 span, future = pending.pop(0)
                 yield span, future.result()
                 if progress is not None:
@@ -145,7 +151,7 @@ def simulate_emission(
     need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     streams = Streams(seed)
     positions = sample.scatter(int(n_molecules), model.acquisition.shape_px, 0.0, streams.of("positions"))
-    return _emit(build_scene(model, positions, streams), engine)
+    return _emit(build_scene(model, positions, streams), engine)[0]
 
 
 def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint16]:
@@ -164,7 +170,19 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
     return scene.record(np.empty((0, frames), dtype=np.int64), 0, int(n_frames)).movie
 
 
-def _emit(scene: Scene, engine: Engine) -> NDArray[np.int64]:
+def _emit(scene: Scene, engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     timing = scene.model.acquisition
     exposure = Exposure(timing.frame_length_s, timing.interval_s - timing.frame_length_s, scene.light)
     return simulate_photons(scene.chain, scene.drive(), exposure, scene.streams, engine)
+
+
+def _light(emission: NDArray[np.int64], expected: NDArray[np.float64], noise_kept: float) -> NDArray[Any]:
+    """Photons (molecule, frame) that images are made of: the emission, with a share of the variance of its noise.
+
+    N emitted photons of which each is detected with chance p make a count of variance p E[N] + p² (Var N − E[N]): light
+    that is Poisson stays Poisson. A Poisson detection of the image of N (SPEC.md §4) has p E[N] + p² Var N instead,
+    which is right when none of the noise of Poisson light is kept in the image.
+    """
+    if noise_kept == 1:
+        return emission
+    return np.asarray(expected + np.sqrt(noise_kept) * (emission - expected))

@@ -12,6 +12,7 @@ from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.nearing import free_steps
 from napari_mufasa.discover.null import Null
 from napari_mufasa.effects import catalogue, effect_class
+from napari_mufasa.sample import scatter
 
 
 def test_whitening_makes_correlated_noise_white():
@@ -247,6 +248,41 @@ def test_density_stays_within_what_the_field_can_hold():
     assert 22 < crowded.sample.n_molecules < 70
     for n in (1, 10_000):
         nm.simulate(nuisance.with_molecules(model, n).with_values({"acquisition.n_frames": 1}), seed=1)
+
+
+def _spots_of(n: int, least_px: float, seed: int) -> np.ndarray:
+    """Where n molecules on 96 × 96 px are seen, whose PSF has an sd of 1.27 px: pairs that merge are seen once."""
+    seen: list[np.ndarray] = []
+    for at in scatter(n, (96, 96), least_px, np.random.default_rng(seed)):
+        if all(np.hypot(*(at - other)) > 2 * np.sqrt(2) * 1.27 for other in seen):
+            seen.append(at)
+    return np.array(seen)
+
+
+def test_the_smallest_distance_between_molecules_is_read_off_the_spots():
+    model = nm.preset("EGFP").with_values({"optics.psf_fwhm_nm": 300.0, "acquisition.pixel_size_nm": 100.0})
+    found = [nuisance.spaced(model, _spots_of(50, 5.0, k), 96**2).sample.min_distance_px for k in range(100)]
+    told = np.array([d for d in found if d > 0])
+    # With 50 · 49/2 pairs c = 0.42 px⁻²: what is told of d² has an sd of 1/c, its mean of 100 one of 0.24 px². Five px
+    # apart, c (d² − 13 px²) is above 4 always.
+    assert len(told) == 100
+    assert np.mean(told**2) == pytest.approx(25.0, abs=1.0)
+
+
+def test_molecules_at_random_are_not_called_spaced():
+    model = nm.preset("EGFP").with_values({"optics.psf_fwhm_nm": 300.0, "acquisition.pixel_size_nm": 100.0})
+    spaced = sum(nuisance.spaced(model, _spots_of(50, 0.0, k), 96**2).sample.min_distance_px > 0 for k in range(200))
+    # e⁻⁴ each, a little more as neighbours beyond the edge are not seen: 3 % is 6 of 200, 15 has a chance of 0.1 %.
+    assert spaced <= 15
+
+
+def test_a_layout_that_is_told_stays():
+    far_apart = np.array([[10.0, 10.0], [80.0, 80.0], [10.0, 80.0], [80.0, 10.0]])
+    for told in ({"sample.min_distance_px": 2.0}, {"sample.layout": "grid"}):
+        model = nm.preset("EGFP").with_values(told)
+        assert nuisance.spaced(model, far_apart, 20.0) == model
+    model = nm.preset("EGFP")
+    assert nuisance.spaced(model, far_apart[:1], 96**2) == model  # one spot has no neighbour
 
 
 def test_preparation_crops_large_movies_and_says_so():

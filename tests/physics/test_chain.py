@@ -63,7 +63,7 @@ def test_null_switches_a_transition_off():
 def test_mean_photons_per_frame_follow_the_matrix_exponential(engine):
     """E[photons in a frame] = k10 ∫ P(S1) dt, from the generator's exponential, for six states from NA."""
     n_molecules, n_frames, length = 40_000, 12, 0.02
-    photons = simulate_photons(FULL, np.ones(n_molecules), exposure(n_frames, length), Streams(11), engine)
+    photons = simulate_photons(FULL, np.ones(n_molecules), exposure(n_frames, length), Streams(11), engine)[0]
     generator = FULL.generator()
     at = FULL.states.index("S1")
     # The integral of the occupancy of S1 is one more state that only counts.
@@ -80,7 +80,7 @@ def test_mean_photons_per_frame_follow_the_matrix_exponential(engine):
 def test_light_and_dead_time_follow_the_matrix_exponential():
     """The light changes from frame to frame and goes on during the dead time, whose photons are lost."""
     light, exposed, dead, n = [1.0, 0.2, 0.0, 3.0, 1.0], 0.01, 0.015, 40_000
-    photons = simulate_photons(FULL, np.ones(n), exposure(5, exposed, dead, light), Streams(12), "fast")
+    photons = simulate_photons(FULL, np.ones(n), exposure(5, exposed, dead, light), Streams(12), "fast")[0]
     occupancy, at = FULL.start_vector(), FULL.states.index("S1")
     for f, relative in enumerate(light):
         counting = np.zeros((7, 7))
@@ -108,7 +108,7 @@ def test_long_runs_reach_the_stationary_distribution(engine):
     )
     stationary = linalg.null_space(chain.generator().T)[:, 0]
     stationary /= stationary.sum()
-    photons = simulate_photons(chain, np.ones(2000), exposure(20, 0.1), Streams(13), engine)
+    photons = simulate_photons(chain, np.ones(2000), exposure(20, 0.1), Streams(13), engine)[0]
     totals = photons[:, 10:].sum(axis=1)  # after 1 s ≫ 1/70 s the start is forgotten
     expected = stationary[1] * 1e6 * 1.0
     # |z| > 4: false alarm 6e-5; k01/k10 = 0.2 %.
@@ -128,7 +128,7 @@ def test_activation_and_bleaching_times_are_exponential():
         ),
         {"NA": 1.0},
     )
-    photons = simulate_photons(chain, np.ones(4000), exposure(2000, length), Streams(14), "fast")
+    photons = simulate_photons(chain, np.ones(4000), exposure(2000, length), Streams(14), "fast")[0]
     on = photons > 0
     seen = on.any(axis=1)  # one in 5000 bleaches before its first photon: of 4000, nine or more with chance 2e-7
     assert (~seen).sum() < 9
@@ -156,7 +156,7 @@ def test_dark_dwell_times_of_a_further_dark_state_are_exponential():
         {"X": 1.0},
     )
     length = 1e-3
-    photons = simulate_photons(chain, np.ones(3000), exposure(1000, length), Streams(15), "fast")
+    photons = simulate_photons(chain, np.ones(3000), exposure(1000, length), Streams(15), "fast")[0]
     first = (photons > 0).argmax(axis=1)
     jitter = np.random.default_rng(2).random(3000)
     assert stats.kstest((first + jitter) * length, "expon", args=(0, 1 / 25)).pvalue > 1e-4

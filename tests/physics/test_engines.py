@@ -163,7 +163,7 @@ def test_light_in_time_and_per_molecule(engine):
     )
     drive = np.repeat([0.5, 2.0], 1000)
     light = np.array([0.0, 1.0, 0.25, 3.0])
-    counts = simulate_photons(chain, drive, Exposure(0.01, 0.0, light), Streams(12), engine)
+    counts = simulate_photons(chain, drive, Exposure(0.01, 0.0, light), Streams(12), engine)[0]
     for half, level in ((slice(0, 1000), 0.5), (slice(1000, 2000), 2.0)):
         mean = 50 * level * light
         np.testing.assert_array_less(np.abs(counts[half].mean(axis=0) - mean), 4.3 * np.sqrt(mean / 1000) + 1e-2)

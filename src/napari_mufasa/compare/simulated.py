@@ -42,7 +42,7 @@ class SimulatedMovie:
 
     def __getitem__(self, key: slice) -> NDArray[np.uint16]:
         start, stop, _ = key.indices(self.shape[0])
-        return self.acquisition.scene.record(self.acquisition.emission, start, stop).movie
+        return self.acquisition.scene.record(self.acquisition.light, start, stop).movie
 
 
 def acquisitions(
@@ -61,14 +61,13 @@ def acquisitions(
     poisson = Acquisition(plain, positions_px, seed + 1)
     sofi = Acquisition(plain, positions_px, seed + 2)
     n = len(positions_px)
-    poisson.emission = poisson_emission(model, n, Streams(seed + 1).of("poisson baseline"))
+    poisson.record_instead(poisson_emission(model, n, Streams(seed + 1).of("poisson baseline")))
     timing = model.acquisition
     largest = largest_of_a_trace(mufasa.emission)
     tool = sofi_times == "tool"
     two_state = tool_defaults(largest) if tool else two_state_of(model, largest, mufasa.scene.chain)
-    sofi.emission = sofi_emission(  # type: ignore[assignment]
-        two_state, n, timing.n_frames, timing.frame_length_s, timing.interval_s, Streams(seed + 2).of("sofi baseline")
-    )
+    stream = Streams(seed + 2).of("sofi baseline")
+    sofi.record_instead(sofi_emission(two_state, n, timing.n_frames, timing.frame_length_s, timing.interval_s, stream))
     return {"mufasa": mufasa, "poisson": poisson, "sofi": sofi}
 
 
@@ -178,7 +177,7 @@ class FarApart:
         """(molecule, frame) photons collected from each place."""
         scene, optics = acquisition.scene, acquisition.model.optics
         share = optics.collection_efficiency * optics.brightness_correction * scene.brightness
-        photons = acquisition.emission.astype(np.float32) * share[:, None].astype(np.float32)
+        photons = acquisition.light.astype(np.float32) * share[:, None].astype(np.float32)
         place = np.rint(scene.positions_px[:, 1]).astype(int)
         if np.array_equal(place, np.arange(len(self.positions_px))):
             return photons

@@ -28,8 +28,11 @@ NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
 
 
 def matched(bench: Bench, model: Model) -> Model:
-    """The model with its nuisance values brought near the measurement, by moments."""
-    measured = as_table(bench.names, bench.measured.part("all"))
+    """The model with its molecules as far apart as the spots tell, its nuisance values brought near the measurement by
+    moments."""
+    measured, spots = as_table(bench.names, bench.measured.part("all")), bench.measured.spots
+    height, width = model.acquisition.shape_px
+    model = nuisance.spaced(model, spots.positions_px, height * width)
     model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
     for turn in range(MATCHING_ROUNDS):
         rows = bench.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])

@@ -11,23 +11,27 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 
 from napari_mufasa.model import Model
 from napari_mufasa.observe import photoelectrons_per_adu
 
 REACH = 2.5  # how many widths of its prior a value may move
+PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the nearest: none of them is a chance of e⁻⁴
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """A value of the model, its scale ("log" or units of its own), step for derivatives, prior width, and the value
-    that the prior is about."""
+    """A value of the model, its scale ("log" or units of its own), step for derivatives, prior width, the value that
+    the prior is about, and the largest that it takes."""
 
     path: str
     log: bool
     step: float
     prior: float
     origin: float = 0.0
+    most: float = np.inf
 
     def moved(self, model: Model, by: float) -> dict[str, Any]:
         """The changed value, as `Model.with_values` takes it; within its room."""
@@ -43,7 +47,7 @@ class Nuisance:
         if self.log:
             away = float(np.log(max(value, 1e-9) / self.origin))
             return -reach - away, reach - away
-        return max(self.origin - reach, 0.0) - value, self.origin + reach - value
+        return max(self.origin - reach, 0.0) - value, min(self.origin + reach, self.most) - value
 
     def inward(self, model: Model, step: float) -> float:
         """A step of that size that the room does not cut short."""
@@ -63,6 +67,7 @@ def nuisances(model: Model) -> list[Nuisance]:
         Nuisance("sample.n_molecules", True, 0.15, 0.4),
         Nuisance("camera.electrons_per_adu", True, 0.05, 0.03),
         Nuisance("camera.read_noise_e", True, 0.1, 0.08),
+        Nuisance("optics.emission_noise", False, 0.5, 2.0, most=1.0),
         Nuisance("fluorophore.cycles_before_bleaching", True, 0.4, 0.15),
         Nuisance("fluorophore.isc_ratio", True, 0.3, 0.12),
         Nuisance("fluorophore.triplet_decay_rate_per_s", True, 0.3, 0.12),
@@ -86,6 +91,23 @@ def kept(model: Model, values: Sequence[Nuisance]) -> Model:
 def with_molecules(model: Model, n: float) -> Model:
     """The model with about n molecules, as many as fit."""
     return model.with_values({"sample.n_molecules": _that_fit(model, n)})
+
+
+def spaced(model: Model, positions_px: NDArray[np.float64], area_px2: float) -> Model:
+    """The model with the smallest distance between molecules that spots at `positions_px` (spot, 2) within an area
+    show: where nothing is believed of it, and molecules at random would have neighbours that are nearer.
+
+    n spots at random have c r² pairs nearer than r on average, c = n(n−1)π/2A; two spots less than 2√2 σ apart are
+    seen as one. The nearest pair is farther apart than any two must be, in r² by 1/c on average.
+    """
+    n, sample = len(positions_px), model.sample
+    if n < 2 or sample.layout != "random" or sample.min_distance_px > 0:
+        return model
+    pairs_per_px2 = n * (n - 1) * np.pi / (2 * area_px2)
+    nearest, resolved = float(pdist(positions_px).min()) ** 2, 8 * model.sigma_px**2
+    if pairs_per_px2 * (nearest - resolved) < PAIRS_MISSED:
+        return model
+    return model.with_values({"sample.min_distance_px": float(np.sqrt(nearest - 1 / pairs_per_px2))})
 
 
 def match(model: Model, measured: Mapping[str, float], simulated: Mapping[str, float]) -> Model:

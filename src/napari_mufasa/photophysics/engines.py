@@ -33,8 +33,8 @@ class Exposure:
 
 def simulate_photons(
     chain: Chain, drive: NDArray[np.float64], exposure: Exposure, streams: Streams, engine: Engine
-) -> NDArray[np.int64]:
-    """Photons emitted by each molecule in each frame.
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Photons emitted by each molecule in each frame, and how many were expected of its time in the light.
 
     Parameters
     ----------
@@ -47,7 +47,8 @@ def simulate_photons(
 
     Returns
     -------
-    (molecule, frame) int64. A photon belongs to the frame its relaxation falls in.
+    (molecule, frame) int64 and (molecule, frame) float64. A photon belongs to the frame its relaxation falls in. The
+    exact engine expects what it counts.
     """
     if engine not in ("fast", "exact"):
         raise MufasaError(f"engine {engine!r} is unknown: choose 'fast' or 'exact'")
@@ -59,9 +60,9 @@ def simulate_photons(
         else:
             bright_chain, photon_rates = merged
             expected, _ = _run(bright_chain, photon_rates, drive, exposure, streams)
-            return _poisson(expected, streams)
+            return _poisson(expected, streams), expected
     _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, streams)
-    return photons
+    return photons, photons.astype(np.float64)
 
 
 def merge_bright_states(
