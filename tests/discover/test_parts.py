@@ -78,7 +78,8 @@ def test_no_free_value_moves_farther_than_the_model_can_follow():
     values = nuisance.nuisances(model)
     free = [n.path for n in values] + ["image_lag.fraction", "image_lag.kept"]
     ends = room(model, values, free)
-    np.testing.assert_allclose(ends[1, : len(values)], [nuisance.REACH * n.prior for n in values])
+    reach = [0.0 if n.most == 1.0 else nuisance.REACH * n.prior for n in values]  # one is at its largest already
+    np.testing.assert_allclose(ends[1, : len(values)], reach)
     for end in ends:
         there = moved(model, values, free, end).effects[0]
         beyond = moved(model, values, free, 2 * end).effects[0]
@@ -248,6 +249,18 @@ def test_density_stays_within_what_the_field_can_hold():
     assert 22 < crowded.sample.n_molecules < 70
     for n in (1, 10_000):
         nm.simulate(nuisance.with_molecules(model, n).with_values({"acquisition.n_frames": 1}), seed=1)
+
+
+def test_a_value_with_a_largest_stays_below_it():
+    model = nm.preset("EGFP")
+    (noise,) = (n for n in nuisance.nuisances(model) if n.path == "optics.emission_noise")
+    assert noise.room(model) == (-1.0, 0.0)
+    assert nuisance.apply(model, [noise], [3.0]).optics.emission_noise == 1.0
+    assert nuisance.apply(model, [noise], [-3.0]).optics.emission_noise == 0.0
+    for at in (0.0, 0.3, 0.5, 0.8, 1.0):  # the step for the derivative is never cut short
+        there = model.with_values({"optics.emission_noise": at})
+        step = noise.inward(there, noise.step)
+        assert nuisance.apply(there, [noise], [step]).optics.emission_noise - at == pytest.approx(step)
 
 
 def _spots_of(n: int, least_px: float, seed: int) -> np.ndarray:
