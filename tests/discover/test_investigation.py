@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover import automatic, contest
+from napari_mufasa.discover import automatic, contest, reporting
 from napari_mufasa.discover.coordinates import Coordinate, moved
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.investigation import SECOND, SECOND_SHARE, Investigation
@@ -113,6 +113,24 @@ def test_an_effect_that_is_none_or_does_not_help_once_it_is_settled_is_taken_out
     kept = is_some and improves
     assert automatic._holds(inquiry, "candidate") is kept
     assert steps == (["add"] if kept else ["add", "undo"])
+
+
+@pytest.mark.parametrize(
+    ("p_left", "after", "farthest", "verdict"),
+    [
+        (0.5, 1.0, 4.3, "missing_effect"),  # of 111 observables one may be off by 4.4 with a chance of 0.001
+        (0.5, 1.0, -4.6, "unexplained"),
+        (0.5, 1.4, 2.0, "missing_effect"),
+        (1e-4, 1.3, 2.0, "missing_effect"),
+        (1e-4, 1.4, 2.0, "unexplained"),
+    ],
+)
+def test_what_is_left_beyond_chance_is_unexplained_as_a_whole_or_in_one_observable(p_left, after, farthest, verdict):
+    seen = SimpleNamespace(soft=np.append(np.zeros(110), farthest))
+    state = SimpleNamespace(profiled=lambda x: seen, misfit=lambda x: 100.0)
+    null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_left))
+    inquiry = SimpleNamespace(chosen=["stage_drift"], state=state, null=null, x=None)
+    assert reporting.judge(inquiry, [5.0, after], 1.0) == verdict
 
 
 def test_an_effect_of_the_model_believed_is_not_added_again(inquiry):

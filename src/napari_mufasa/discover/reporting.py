@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
 
 from napari_mufasa.discover.curves import draw
 from napari_mufasa.discover.library import SCALES, State, scaled
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 OFF = 3.0  # an observable further off than so many standard deviations is called failing
 EXPLAINED = 0.6  # share of the removable error that an explanation must remove
 FAR = 1.35  # an error above so many floors is not explained, however far it fell
-STILL_OFF = 0.001  # chance level of the misfit left under an explanation
+STILL_OFF = 0.001  # chance level of what an explanation leaves: of its misfit, and of the observable farthest off
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
 
@@ -78,7 +80,13 @@ def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
     share = (errors[0] - errors[-1]) / max(errors[0] - floor, 1e-9)
     left = inquiry.null.misfit.p(inquiry.state.misfit(inquiry.x))
     far = share < EXPLAINED or errors[-1] > FAR * floor
-    return "unexplained" if left < STILL_OFF and far else "missing_effect"
+    return "unexplained" if (left < STILL_OFF and far) or _one_is_off(inquiry.state, inquiry.x) else "missing_effect"
+
+
+def _one_is_off(state: State, x: NDArray[np.float64]) -> bool:
+    """Is one observable so far off that chance would leave none of them there?"""
+    off = np.abs(state.profiled(x).soft)
+    return bool(off.max() > stats.norm.isf(STILL_OFF / (2 * off.size)))
 
 
 def detectable(inquiry: Investigation) -> dict[str, float | None]:

@@ -104,12 +104,23 @@ class ClockInducedCharge(Effect):
         log=True,
         description="mean spurious charge added, over the gain",
     )
-    form: Literal["before_register", "in_register"] = "before_register"
+    growth: float = parameter(
+        1.2,
+        ge=-2,
+        le=2,
+        plausible=(-1.8, 1.8),
+        unit="",
+        description="more of it in the last row than in the first, as a share of the mean: far rows are clocked more",
+        forms=("along_columns",),
+    )
+    form: Literal["before_register", "in_register", "along_columns"] = "before_register"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         gain = max(_gain(scene), 1.0)
-        if self.form == "before_register" or gain == 1.0:
-            scene.sensor.expected.append(lambda e, frames: e + np.float32(self.electrons))
+        if self.form != "in_register" or gain == 1.0:
+            growth = self.growth if self.form == "along_columns" else 0.0
+            rows = 1 + growth * np.linspace(-0.5, 0.5, scene.shape_px[0], dtype=np.float32)[:, None]
+            scene.sensor.expected.append(lambda e, frames: e + np.float32(self.electrons) * rows)
             return
         mean = (1 - 1 / gain) / np.log(gain)  # of gain^-u: what an electron born at u of the register's length keeps
 
