@@ -45,8 +45,9 @@ class Simulation:
 class Acquisition:
     """A simulated acquisition whose frames are recorded on demand, block by block.
 
-    Holds the emission, the light that images are made of (each (molecule, frame), photons) and courses per frame,
-    never the movie: use it to stream movies larger than memory.
+    Holds the emission, the photons that images are made of (both (molecule, frame), and the same unless
+    `Optics.emission_noise` is below 1) and courses per frame, never the movie: use it to stream movies larger than
+    memory.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class Acquisition:
         self.seed = seed
         self.scene: Scene = build_scene(model, positions, streams)
         self.emission, expected = _emit(self.scene, engine)
-        self.light = _light(self.emission, expected, model.optics.emission_noise)
+        self.photons = _imaged(self.emission, expected, model.optics.emission_noise)
 
     @property
     def n_frames(self) -> int:
@@ -73,7 +74,7 @@ class Acquisition:
 
     def record_instead(self, emission: NDArray[Any]) -> None:
         """Record another emission (molecule, frame) in the same scene, with all its noise."""
-        self.emission = self.light = emission
+        self.emission = self.photons = emission
 
     def block_frames(self) -> int:
         """Frames per block: about `BLOCK_BYTES` of optical image."""
@@ -95,7 +96,7 @@ class Acquisition:
             upcoming = iter(slices)
             for _ in slices:
                 while len(pending) < workers + 1 and (span := next(upcoming, None)) is not None:
-                    pending.append((span, pool.submit(self.scene.record, self.light, span.start, span.stop)))
+                    pending.append((span, pool.submit(self.scene.record, self.photons, span.start, span.stop)))
                 span, future = pending.pop(0)
                 yield span, future.result()
                 if progress is not None:
@@ -176,7 +177,7 @@ def _emit(scene: Scene, engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.f
     return simulate_photons(scene.chain, scene.drive(), exposure, scene.streams, engine)
 
 
-def _light(emission: NDArray[np.int64], expected: NDArray[np.float64], noise_kept: float) -> NDArray[Any]:
+def _imaged(emission: NDArray[np.int64], expected: NDArray[np.float64], noise_kept: float) -> NDArray[Any]:
     """Photons (molecule, frame) that images are made of: the emission, with a share of the variance of its noise.
 
     N emitted photons of which each is detected with chance p make a count of variance p E[N] + p² (Var N − E[N]): light

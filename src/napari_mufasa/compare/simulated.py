@@ -42,7 +42,7 @@ class SimulatedMovie:
 
     def __getitem__(self, key: slice) -> NDArray[np.uint16]:
         start, stop, _ = key.indices(self.shape[0])
-        return self.acquisition.scene.record(self.acquisition.light, start, stop).movie
+        return self.acquisition.scene.record(self.acquisition.photons, start, stop).movie
 
 
 def acquisitions(
@@ -177,7 +177,7 @@ class FarApart:
         """(molecule, frame) photons collected from each place."""
         scene, optics = acquisition.scene, acquisition.model.optics
         share = optics.collection_efficiency * optics.brightness_correction * scene.brightness
-        photons = acquisition.light.astype(np.float32) * share[:, None].astype(np.float32)
+        photons = acquisition.photons.astype(np.float32) * share[:, None].astype(np.float32)
         place = np.rint(scene.positions_px[:, 1]).astype(int)
         if np.array_equal(place, np.arange(len(self.positions_px))):
             return photons

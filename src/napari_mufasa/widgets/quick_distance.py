@@ -118,7 +118,7 @@ def simulate_traces(
     for start, stop in _stretches(n_frames, VOXELS // (shape[0] * shape[1])):
         if cancel is not None and cancel():
             raise Cancelled
-        blocks.append(acquisition.scene.record(acquisition.light, start, stop).movie)
+        blocks.append(acquisition.scene.record(acquisition.photons, start, stop).movie)
     options = replace(measured.options, window=None, best=None, follow_drift=False, psf_sigma_px=sigma, roi=None)
     movie = np.concatenate(blocks)
     found = extract_traces(movie, here.camera, options=options, positions_px=positions, cancel=cancel)
