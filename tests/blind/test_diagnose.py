@@ -85,6 +85,7 @@ def test_by_hand_add_undo_and_refine_agree():
     inquiry.add("row_noise")
     after = inquiry.report()
     assert after.error["after"] < 0.8 * after.error["before"] and after.chosen == ["row_noise"]
+    assert any("fitted beside" in note and "optics.brightness_correction 1 →" in note for note in after.notes)
     with pytest.raises(nm.MufasaError, match="already in the model"):
         inquiry.add("row_noise")
     inquiry.undo()

@@ -298,6 +298,13 @@ def test_a_layout_that_is_told_stays():
     assert nuisance.spaced(model, far_apart[:1], 96**2) == model  # one spot has no neighbour
 
 
+def test_what_became_of_the_values_believed_is_told():
+    model = nm.preset("EGFP").with_values({"optics.psf_fwhm_nm": 280.0})
+    fitted = model.with_values({"optics.psf_fwhm_nm": 306.9, "sample.min_distance_px": 4.8})
+    assert nuisance.told(model, fitted) == "optics.psf_fwhm_nm 280 → 307, sample.min_distance_px 0 → 4.8"
+    assert nuisance.told(model, model) == ""
+
+
 def test_preparation_crops_large_movies_and_says_so():
     model = nm.preset("EGFP")
 

@@ -110,6 +110,13 @@ def spaced(model: Model, positions_px: NDArray[np.float64], area_px2: float) -> 
     return model.with_values({"sample.min_distance_px": float(np.sqrt(nearest - 1 / pairs_per_px2))})
 
 
+def told(believed: Model, fitted: Model) -> str:
+    """What became of the values believed, as a reader finds them in model.json: "optics.psf_fwhm_nm 280 → 307"."""
+    paths = [nuisance.path for nuisance in nuisances(believed)] + ["sample.min_distance_px"]
+    values = [(path, f"{_get(believed, path):.3g}", f"{_get(fitted, path):.3g}") for path in paths]
+    return ", ".join(f"{path} {before} → {after}" for path, before, after in values if before != after)
+
+
 def match(model: Model, measured: Mapping[str, float], simulated: Mapping[str, float]) -> Model:
     """One round of matching by moments: brightness, width, density, baseline and background."""
     scale = photoelectrons_per_adu(model)

@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
+from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.curves import draw
 from napari_mufasa.discover.library import SCALES, State, scaled
 from napari_mufasa.discover.null import ALARM, MISFIT_ALARM
@@ -40,6 +41,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
     after = inquiry.bench.observations([(model, k) for k in numbers]) if inquiry.chosen else before
     interval = inquiry.believed.acquisition.interval_s
     verdict = verdict or judge(inquiry, errors, floor)
+    completed = _restored(model, inquiry.believed)
     return Report(
         verdict=verdict,
         error={"before": errors[0], "after": errors[-1], "floor": floor, "unit": ERROR_UNIT},
@@ -47,7 +49,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         ranking=[_as_it_stands(candidate, model) for candidate in inquiry.ranking],
         chosen=inquiry.chosen,
         history=history,
-        model=_restored(model, inquiry.believed),
+        model=completed,
         base=_restored(base.model, inquiry.believed),
         observables=table,
         curves=draw(inquiry.bench.measured, before, after, interval),
@@ -55,7 +57,7 @@ def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Re
         seed=inquiry.seed,
         evidence_needed=inquiry.null.evidence.at(ALARM),
         detectable=detectable(inquiry) if verdict == "adequate" else {},
-        notes=[*inquiry.measurement.notes, *_notes(inquiry, verdict, table)],
+        notes=[*inquiry.measurement.notes, *_notes(inquiry, verdict, table, completed)],
     )
 
 
@@ -152,8 +154,10 @@ def _restored(model: Model, believed: Model) -> Model:
     return model.model_copy(update={"acquisition": believed.acquisition, "sample": sample, "camera": camera})
 
 
-def _notes(inquiry: Investigation, verdict: Verdict, table: pd.DataFrame) -> list[str]:
+def _notes(inquiry: Investigation, verdict: Verdict, table: pd.DataFrame, completed: Model) -> list[str]:
     notes = []
+    if changes := nuisance.told(inquiry.believed, completed):
+        notes.append(f"Values of the model fitted beside the effects: {changes}.")
     if inquiry.measurement.dark is None:
         notes.append("No dark frames were given: offset, read noise and clock-induced charge rest on the model.")
     left = table[table.z_after.abs() > OFF]
