@@ -224,6 +224,17 @@ def test_the_other_verdicts_have_their_words(verdict, line, monkeypatch):
     assert line in text and "Not seen is not absent" in text
 
 
+def test_an_effect_that_was_not_added_is_told_as_a_lead():
+    import dataclasses
+
+    base = dataclasses.replace(report("unexplained"), verdict="missing_effect")
+    line, sentence = wording.verdict_text(base)
+    assert line == "Something is missing. Fast dark-state blinking explains it best."
+    assert "from 2.93 to 1.04; noise alone gives 0.98" in sentence
+    worse = dataclasses.replace(base, ranking=[dataclasses.replace(base.ranking[0], error_after=3.0)])
+    assert "no effect tried lowers the error" in wording.verdict_text(worse)[0]
+
+
 def test_what_is_still_off_is_told(monkeypatch):
     import dataclasses
 

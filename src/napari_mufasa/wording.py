@@ -61,6 +61,8 @@ def verdict_text(report: Report) -> tuple[str, str]:
         return line, f"Its error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
     fall = f"The error on held-out data falls from {_two(before)} to {_two(after)}; noise alone gives {_two(floor)}."
     chosen = " and ".join(in_text(kind) for kind in report.chosen)
+    if report.verdict == "missing_effect" and not report.chosen:
+        return lead_text(report)
     if report.verdict == "missing_effect":
         return f"Missing from the model: {chosen}.", fall
     if report.chosen:
@@ -69,6 +71,18 @@ def verdict_text(report: Report) -> tuple[str, str]:
     if report.ranking:
         line += f" It resembles {in_text(report.ranking[0].effect)} most."
     return line, f"The error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
+
+
+def lead_text(report: Report) -> tuple[str, str]:
+    """What adding the best effect would do, where none was added."""
+    best, before = report.ranking[0], report.error["before"]
+    gives = f"noise alone gives {_two(report.error.get('floor'))}."
+    if best.error_after is None or best.error_after >= before:
+        return "Something is missing, and no effect tried lowers the error.", f"The error is {_two(before)}; {gives}"
+    return (
+        f"Something is missing. {effect_title(best.effect)} explains it best.",
+        f"Adding it brings the error on held-out data from {_two(before)} to {_two(best.error_after)}; {gives}",
+    )
 
 
 def chosen_candidates(report: Report) -> list[Candidate]:

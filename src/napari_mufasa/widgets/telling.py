@@ -33,7 +33,7 @@ def words_of(candidate: Candidate) -> str:
 
 def headline(report: Report) -> tuple[str, str]:
     """The verdict in words; before anything was added, what adding the best effect would do."""
-    from napari_mufasa.wording import verdict_text
+    from napari_mufasa.wording import lead_text, verdict_text
 
     best = report.ranking[0] if report.ranking else None
     before, after, floor = (report.error.get(name) for name in ("before", "after", "floor"))
@@ -45,13 +45,7 @@ def headline(report: Report) -> tuple[str, str]:
         )
     if report.verdict == "adequate" or report.chosen or best is None or best.error_after is None or before is None:
         return verdict_text(report)
-    gives = f"; noise alone gives {floor:.2f}" if floor is not None else ""
-    if best.error_after >= before:
-        return "Something is missing, and no effect tried lowers the error.", f"The error is {before:.2f}{gives}."
-    return (
-        f"Something is missing. {title_of(best.effect)} explains it best.",
-        f"Adding it brings the error on held-out data from {before:.2f} to {best.error_after:.2f}{gives}.",
-    )
+    return lead_text(report)
 
 
 def told(row: Any, completed: bool) -> str:
