@@ -39,6 +39,7 @@ LADDER = 2.2  # factor between the strengths tried first
 SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
 ROUND_SIMULATIONS = 9
 WIDE, NARROW = 0.45, 0.2  # spread of the parameters in a round (log units or quarters of the range)
+WIDEST = 1.1  # of parameters that are as uncertain as that, around an effect that enters the model
 LOOSE = 2.5  # prior width of an effect's parameters in spreads of the simulations around it
 MOST_ROUNDS = 3
 HOPELESS = 0.5  # a start with less than this share of the evidence to beat is not fitted further
@@ -225,7 +226,7 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
         return local.moved(by)
 
     uncertain = [c.steps(found.effect, found.sd[c.name] / found.birge) for c in _own_coordinates(found)]
-    widths = np.clip(FAR * np.array(uncertain), NARROW, WIDE)
+    widths = np.clip(FAR * np.array(uncertain), NARROW, WIDEST)
     rng = np.random.default_rng([library.bench.seed, SETTLING_SIMULATIONS])
     offsets = np.zeros((CHECK_SIMULATIONS + SETTLING_SIMULATIONS, len(local.free)))
     offsets[CHECK_SIMULATIONS:, others:] = _design(SETTLING_SIMULATIONS, n, widths, rng)

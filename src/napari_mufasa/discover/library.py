@@ -103,14 +103,19 @@ class State:
         return room(self.model, self.values, self.free)
 
     def held_out_error(self, x: Array) -> float:
-        """rms whitened residual of the held-out part, free values fitted on the fit part."""
-        fit, held = PARTS.index("fit"), PARTS.index("held_out")
+        """rms whitened residual of each half of the field, free values fitted on the other half."""
+        white, black = PARTS.index("white"), PARTS.index("black")
+        squares = [self._held_out(x, fit, held) for fit, held in ((white, black), (black, white))]
+        return float(np.sqrt(np.mean(squares)))
+
+    def _held_out(self, x: Array, fit: int, held: int) -> Array:
+        """Squares of the whitened residuals of one half, free values fitted on the other."""
         moves = self.profiled(x, fit).moves
         still = profile(
             x[held], self.mean[held] + self.slopes[held] @ moves, self.spread[held],
             np.zeros((x.shape[1], 0)), np.zeros(0), np.zeros((2, 0)), self.whiten[held], steps=0,
         )  # fmt: skip
-        return float(np.sqrt(np.mean(still.residual**2)))
+        return np.square(still.residual)
 
     def at_floor(self, x: Array) -> bool:
         return self.held_out_error(x) <= AT_FLOOR * self.floor

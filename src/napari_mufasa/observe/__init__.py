@@ -22,8 +22,8 @@ from napari_mufasa.observe.table import Meaning, Table
 if TYPE_CHECKING:
     from napari_mufasa.model import Model
 
-PARTS = ("all", "fit", "held_out")
-TILES = 6  # the field is a checkerboard of about TILES × TILES tiles: white to fit, black to test
+PARTS = ("all", "white", "black")
+TILES = 6  # the field is a checkerboard of about TILES × TILES tiles: each half tests what the other was fitted to
 
 
 @dataclass(frozen=True)
