@@ -12,6 +12,7 @@ from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.nearing import free_steps
 from napari_mufasa.discover.null import Null
 from napari_mufasa.effects import catalogue, effect_class
+from napari_mufasa.observe import PARTS
 from napari_mufasa.sample import scatter
 
 
@@ -151,6 +152,18 @@ def test_held_out_error_is_one_for_noise_and_larger_for_a_shift():
     # rms of 200 standard normals: 1 ± 0.05.
     assert state.held_out_error(rng.standard_normal((3, 200))) == pytest.approx(1.0, abs=0.2)
     assert state.held_out_error(rng.standard_normal((3, 200)) + 3.0 * (np.arange(200) % 2)) > 1.8
+
+
+def test_each_half_of_the_field_is_judged_with_what_was_fitted_to_the_other():
+    state = toy_state(p=25)
+    by_one = state.slopes[0, :, 0]  # 3 for the first four observables, 0 for the others
+    white, black = np.zeros((3, 25)), np.zeros((3, 25))
+    white[PARTS.index("white")] = by_one
+    black[PARTS.index("black")] = by_one
+    # What one half alone shows is missing from the other: 4 of 25 observables are 3 off in each of both directions.
+    assert state.held_out_error(white) == pytest.approx(3 * np.sqrt(4 / 25), rel=0.03)
+    assert state.held_out_error(black) == pytest.approx(state.held_out_error(white), rel=1e-6)
+    assert state.held_out_error(white + black) < 0.05  # what both show is a free value's
 
 
 def test_null_laws_fit_their_own_samples():
