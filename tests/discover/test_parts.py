@@ -147,6 +147,15 @@ def test_screen_finds_the_ray_that_made_the_data_and_is_not_fooled_by_nuisance()
     assert max(forms[0].gain for forms in nuisance_only.values()) < 8
 
 
+def test_a_ray_that_is_too_weak_says_that_it_ends():
+    state, drift, shift = toy_state(), effect_class("stage_drift")(), np.zeros((3, 25))
+    shift[:, 5:9] = 3.0
+    (lead,) = state.screen(0.7 * shift, {"stage_drift": [Ray(drift, shift)]})["stage_drift"]
+    assert lead.scale == 0.7 and not lead.at_the_end
+    (lead,) = state.screen(4.0 * shift, {"stage_drift": [Ray(drift, shift)]})["stage_drift"]
+    assert lead.at_the_end
+
+
 def test_held_out_error_is_one_for_noise_and_larger_for_a_shift():
     state, rng = toy_state(p=200), np.random.default_rng(5)
     # rms of 200 standard normals: 1 ± 0.05.

@@ -120,10 +120,10 @@ class Contest:
         if not self._content(found):
             leads = self.state.screen(self.x, {found.effect.kind: self.library.rays[found.effect.kind]})
             best, *_ = forms = leads[found.effect.kind]
-            # A form that is chance itself (a walk, pink noise) promises far less by one simulation than it holds.
-            others = [
-                lead for lead in forms if lead.gain > FORM_WORTH * best.gain and lead.ray.effect.form_name != form
-            ]
+            # A form that is chance itself (a walk, pink noise) promises far less by one simulation than it holds, and
+            # one that was simulated at weak settings only less than it does where it is stronger.
+            worth = [lead for lead in forms if lead.gain > FORM_WORTH * best.gain or lead.at_the_end]
+            others = [lead for lead in worth if lead.ray.effect.form_name != form]
         starts = [lead.start() for lead in others]
         if plain not in (form, *(start.form_name for start in starts)):
             starts.append(changed(found.effect, {}, form=plain))

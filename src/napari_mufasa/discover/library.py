@@ -60,6 +60,11 @@ class Lead:
     ray: Ray
     scale: float
 
+    @property
+    def at_the_end(self) -> bool:
+        """Whether the ray ends there: a stronger one may promise more."""
+        return abs(self.scale) == max(SCALES)
+
     def start(self) -> Effect:
         """The ray's effect at the strength the lead stands at, within hard limits."""
         return scaled(self.ray.effect, self.scale)
