@@ -11,7 +11,7 @@ from napari_mufasa.discover import automatic, contest, reporting
 from napari_mufasa.discover.coordinates import Coordinate, moved
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.investigation import SECOND, SECOND_SHARE, Investigation
-from napari_mufasa.discover.library import Lead, Ray
+from napari_mufasa.discover.library import SCALES, Lead, Ray
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.effects import effect_class
 
@@ -113,6 +113,22 @@ def test_an_effect_that_is_none_or_does_not_help_once_it_is_settled_is_taken_out
     kept = is_some and improves
     assert automatic._holds(inquiry, "candidate") is kept
     assert steps == (["add"] if kept else ["add", "undo"])
+
+
+def test_a_form_simulated_too_weakly_has_its_turn(monkeypatch):
+    forms = {form: effect_class("pixel_gain_variation")(form=form) for form in ("pixels", "dull_pixels", "columns")}
+    promised = [("pixels", 1000.0, 1.0), ("dull_pixels", 100.0, max(SCALES)), ("columns", 100.0, 0.7)]
+    leads = [Lead(gain, Ray(forms[form], np.zeros((3, 1))), scale) for form, gain, scale in promised]
+    state = SimpleNamespace(screen=lambda x, rays: {"pixel_gain_variation": leads})
+    library = SimpleNamespace(rays={"pixel_gain_variation": []}, bench=SimpleNamespace(plan=lambda n: None))
+    tried = []
+    monkeypatch.setattr(contest.Contest, "_content", lambda self, found: False)
+    monkeypatch.setattr(contest.Contest, "evidence", lambda self, found: 1000.0)
+    monkeypatch.setattr(contest.Contest, "_closest", lambda self, fits: fits[0])
+    monkeypatch.setattr(contest.fit, "refine_if_promising", lambda lib, st, start, x, least: tried.append(start))
+    ring = contest.Contest(library, state, None, lambda: None)
+    ring._best_form(SimpleNamespace(effect=forms["pixels"]))
+    assert [start.form_name for start in tried] == ["dull_pixels"]  # a tenth of the best, but its ray ended there
 
 
 @pytest.mark.parametrize(
