@@ -151,9 +151,9 @@ def test_a_ray_that_is_too_weak_says_that_it_ends():
     state, drift, shift = toy_state(), effect_class("stage_drift")(), np.zeros((3, 25))
     shift[:, 5:9] = 3.0
     (lead,) = state.screen(0.7 * shift, {"stage_drift": [Ray(drift, shift)]})["stage_drift"]
-    assert lead.scale == 0.7 and not lead.at_the_end
+    assert lead.scale == 0.7 and not lead.may_be_stronger
     (lead,) = state.screen(4.0 * shift, {"stage_drift": [Ray(drift, shift)]})["stage_drift"]
-    assert lead.at_the_end
+    assert lead.may_be_stronger
 
 
 def test_held_out_error_is_one_for_noise_and_larger_for_a_shift():

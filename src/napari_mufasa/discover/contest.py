@@ -122,7 +122,7 @@ class Contest:
             best, *_ = forms = leads[found.effect.kind]
             # A form that is chance itself (a walk, pink noise) promises far less by one simulation than it holds, and
             # one that was simulated at weak settings only less than it does where it is stronger.
-            worth = [lead for lead in forms if lead.gain > FORM_WORTH * best.gain or lead.at_the_end]
+            worth = [lead for lead in forms if lead.gain > FORM_WORTH * best.gain or lead.may_be_stronger]
             others = [lead for lead in worth if lead.ray.effect.form_name != form]
         starts = [lead.start() for lead in others]
         if plain not in (form, *(start.form_name for start in starts)):

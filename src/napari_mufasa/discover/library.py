@@ -61,8 +61,8 @@ class Lead:
     scale: float
 
     @property
-    def at_the_end(self) -> bool:
-        """Whether the ray ends there: a stronger one may promise more."""
+    def may_be_stronger(self) -> bool:
+        """Whether the ray ends there: a stronger effect may promise more."""
         return abs(self.scale) == max(SCALES)
 
     def start(self) -> Effect:
