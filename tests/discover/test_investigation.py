@@ -115,6 +115,22 @@ def test_an_effect_that_is_none_or_does_not_help_once_it_is_settled_is_taken_out
     assert steps == (["add"] if kept else ["add", "undo"])
 
 
+@pytest.mark.parametrize(("p_misfit", "verdict"), [(0.5, "adequate"), (1e-4, "unexplained")])
+def test_an_effect_refuted_once_it_is_settled_is_no_reason_to_call_it_missing(inquiry, monkeypatch, p_misfit, verdict):
+    inquiry.rank()
+    best = inquiry.ranking[0]
+    assert inquiry.convincing(best) and reporting.judge(inquiry, [], 1.0) == "missing_effect"
+    none_of_it = {type(effect_class(best.effect)()).strength: np.inf}
+    monkeypatch.setattr(contest.Contest, "settled", lambda self, found: replace(found, sd=none_of_it))
+    monkeypatch.setattr(type(inquiry.null.misfit), "p", lambda tail, value: p_misfit)
+    monkeypatch.setattr(inquiry, "alarmed", lambda: True)
+    assert not automatic._holds(inquiry, best)
+    again = next(candidate for candidate in inquiry.ranking if candidate.effect == best.effect)
+    assert not inquiry.convincing(again)
+    inquiry.ranking = [again]
+    assert reporting.judge(inquiry, [], 1.0) == verdict
+
+
 def test_a_form_simulated_too_weakly_has_its_turn(monkeypatch):
     forms = {form: effect_class("pixel_gain_variation")(form=form) for form in ("pixels", "dull_pixels", "columns")}
     promised = [("pixels", 1000.0, 1.0), ("dull_pixels", 100.0, max(SCALES)), ("columns", 100.0, 0.7)]

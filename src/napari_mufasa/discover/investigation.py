@@ -207,9 +207,10 @@ class Investigation:
         return by_effect or self.null.misfit.p(self.state.misfit(self.x)) < MISFIT_ALARM
 
     def convincing(self, best: Candidate) -> bool:
-        """Does adding it lower the held-out error, with the evidence that is needed?"""
+        """Does adding it lower the held-out error, with the evidence that is needed? By the fit as it was last judged:
+        what was added and taken out again has been settled."""
         found = self.contest.tried.get(best.effect)
-        if found is None or best.evidence <= self.needed(self.leads()[best.effect][0]):
+        if found is None or not found.is_some or best.evidence <= self.needed(self.leads()[best.effect][0]):
             return False
         return self.improves(self.state, found.state, best)
 
@@ -257,7 +258,7 @@ class Investigation:
             found = fit.refine(self.library, self.state, what, self.x)
         else:
             found = self.contest.fitted(self._starts(kind))
-        found = self.contest.settled(found)
+        found = self.contest.tried[kind] = self.contest.settled(found)
         near = {c.effect: c.indistinguishable_from for c in self.ranking}.get(kind, ())
         others = [c for c in self.ranking if c.effect != kind]
         place = next((i for i, c in enumerate(self.ranking) if c.effect == kind), len(others))

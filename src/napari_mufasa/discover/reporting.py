@@ -74,8 +74,8 @@ def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
             return "adequate"
         if not inquiry.ranking:
             return "unexplained"
-        # Effects were fitted and none was added (yet). An alarm of the emulator that no fit confirms is chance,
-        # unless the misfit as a whole is beyond chance, too.
+        # Effects were fitted and none was added (yet). An alarm of the emulator that no fit confirms, or that more
+        # simulations of the fit refute, is chance, unless the misfit as a whole is beyond chance, too.
         if inquiry.convincing(inquiry.ranking[0]):
             return "missing_effect"
         return "unexplained" if inquiry.null.misfit.p(inquiry.state.misfit(inquiry.x)) < MISFIT_ALARM else "adequate"
