@@ -4,7 +4,7 @@
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format blind validate bench-denoise stalls screenshots docs clean
+.PHONY: help setup demo test lint format blind validate bench-denoise bench-diagnose stalls screenshots docs clean
 
 export PYTHON
 PY := .venv/bin/python
@@ -41,6 +41,9 @@ validate: setup ## the physics against known answers
 bench-denoise: setup ## denoisers against ground truth and against BM3D
 	@tools/setup.sh bench
 	$(PY) -m benchmarks.denoise $(ARGS)
+
+bench-diagnose: setup ## time and memory of a diagnosis against their limits
+	$(PY) -m benchmarks.diagnosis $(ARGS)
 
 stalls: setup ## how long the interface stands still, and what napari's start costs with the plugin
 	tools/run-tests.sh benchmarks/test_stalls.py -q -s --show-capture=no $(ARGS)
