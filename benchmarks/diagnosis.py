@@ -65,15 +65,9 @@ def record(case: Case, seed: int, folder: Path) -> None:
 
 def diagnosed(folder: Path) -> tuple[dict[str, Any], float, float]:
     """report.json, seconds by the clock, and the most memory in GB."""
-    command = [str(Path(sys.executable).with_name("napari-mufasa")), "diagnose", str(folder / "movie.tif")]
-    command += [
-        "--model",
-        str(folder / "model.json"),
-        "--dark",
-        str(folder / "dark.tif"),
-        "--out",
-        str(folder / "report"),
-    ]
+    files = {"--model": "model.json", "--dark": "dark.tif", "--out": "report"}
+    given = [word for option, name in files.items() for word in (option, str(folder / name))]
+    command = [str(Path(sys.executable).with_name("napari-mufasa")), "diagnose", str(folder / "movie.tif"), *given]
     start = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
