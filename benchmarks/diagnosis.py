@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Case:
-    """One hidden effect at strength 0.5 in a movie of `frames` × `side` × `side`, as many molecules per area in all."""
+    """One hidden effect at strength 0.5 in a movie of `frames` × `side` × `side`."""
 
     effect: str
     side: int
@@ -38,6 +38,7 @@ class Case:
 
     @property
     def molecules(self) -> int:
+        """As dense in large movies as in small ones, 50 in 96 × 96 pixels."""
         return round(50 * (self.side / 96) ** 2)
 
     @property

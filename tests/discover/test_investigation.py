@@ -120,7 +120,7 @@ def test_an_effect_refuted_once_it_is_settled_is_no_reason_to_call_it_missing(in
     inquiry.rank()
     best = inquiry.ranking[0]
     assert inquiry.convincing(best) and reporting.judge(inquiry, [], 1.0) == "missing_effect"
-    none_of_it = {type(effect_class(best.effect)()).strength: np.inf}
+    none_of_it = {effect_class(best.effect).strength: np.inf}
     monkeypatch.setattr(contest.Contest, "settled", lambda self, found: replace(found, sd=none_of_it))
     monkeypatch.setattr(type(inquiry.null.misfit), "p", lambda tail, value: p_misfit)
     monkeypatch.setattr(inquiry, "alarmed", lambda: True)
