@@ -24,13 +24,13 @@ from scipy.ndimage import median_filter
 import napari_mufasa as nm
 from benchmarks.denoise_risk import honest_ratio
 from benchmarks.scenes import PSF_SIGMA_PX, REAL_DATA, emccd, filaments, photograph, spots
-from napari_mufasa.camera import photoelectrons
+from napari_mufasa.camera.detector import photoelectrons
 from napari_mufasa.denoise import pure_let, pure_let_movie, pure_let_traces
 from napari_mufasa.denoise.pipeline import Method, source_recipe
 from napari_mufasa.denoise.preview import Preview
 from napari_mufasa.denoise.purelet import Method as PureLet
 from napari_mufasa.denoise.wavelet import anscombe
-from napari_mufasa.model import Camera
+from napari_mufasa.model.setup import Camera
 
 Array = NDArray[np.float64]
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "denoising.md"

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 import napari_mufasa as nm
-from napari_mufasa import html_report, io
+from napari_mufasa import files
 from napari_mufasa.cli.console import working
 from napari_mufasa.compare import compare_movie
+from napari_mufasa.report import html as html_report
+from napari_mufasa.report.words import chosen_candidates, effect_title, parameter_lines, verdict_text
 from napari_mufasa.traces import extract_traces
-from napari_mufasa.wording import chosen_candidates, effect_title, parameter_lines, verdict_text
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -31,10 +32,10 @@ MOST = 6  # effects: a real movie lacks more than one
 def movies() -> Iterator[tuple[str, Any, nm.Model, Any, dict[str, Any]]]:
     """Name, movie, believed model, dark frames, and how traces are chosen."""
     smfret = nm.Model.from_json(ROOT / "docs" / "models" / "smfret_ixon.json")
-    yield "smfret_ixon_emccd.tif", io.load(DATA / "smfret_ixon_emccd.tif"), smfret, None, {"max_steps": 1}
+    yield "smfret_ixon_emccd.tif", files.load(DATA / "smfret_ixon_emccd.tif"), smfret, None, {"max_steps": 1}
     yeast = nm.Model.from_json(ROOT / "docs" / "models" / "yeast_slimfield.json")
     yeast = yeast.with_values({"fluorophore.cycles_before_bleaching": None})
-    counts = io.load(DATA / "yeast_slimfield_emccd.tif")
+    counts = files.load(DATA / "yeast_slimfield_emccd.tif")
     yield "yeast_slimfield_emccd.tif", counts[27:], yeast, counts[:27], {}
 
 
@@ -94,7 +95,7 @@ def main() -> None:
         print(sections[-1], flush=True)
     if options.write:
         text = "# Real movies\n\n`python -m benchmarks.real_movies --write` wrote this: the runs as they came out.\n\n"
-        io.write_text(ROOT / "docs" / "real_movies.md", text + "\n".join(sections))
+        files.write_text(ROOT / "docs" / "real_movies.md", text + "\n".join(sections))
 
 
 if __name__ == "__main__":

@@ -126,9 +126,9 @@ def wait_for(condition, most_s: float = 120.0) -> bool:
 @pytest.fixture(scope="module")
 def movies(tmp_path_factory):
     """A large and a small movie on disk, their model in the metadata."""
-    from napari_mufasa import io
-    from napari_mufasa.napari_io import puzzle_model
-    from napari_mufasa.simulation import Acquisition
+    from napari_mufasa import files
+    from napari_mufasa.samples import puzzle_model
+    from napari_mufasa.simulate.movie import SimulatedAcquisition
 
     folder = Path(os.environ.get("STALL_FOLDER") or tmp_path_factory.mktemp("movies"))
     made = {}
@@ -145,9 +145,9 @@ def movies(tmp_path_factory):
             continue
         # The same few frames again and again: what they show does not matter here.
         short = model.with_values({"acquisition.n_frames": min(frames, 120)})
-        movie = np.concatenate([block.movie for _, block in Acquisition(short, seed=1).blocks()])
+        movie = np.concatenate([block.movie for _, block in SimulatedAcquisition(short, seed=1).blocks()])
         blocks = (movie[: min(120, frames - at)] for at in range(0, frames, 120))
-        io.write_movie(path, blocks, (frames, *shape), np.uint16, model=model, seed=1)
+        files.write_movie(path, blocks, (frames, *shape), np.uint16, model=model, seed=1)
     return made
 
 

@@ -19,8 +19,8 @@ import numpy as np
 import napari_mufasa as nm
 from napari_mufasa.compare import compare_traces, difference_interval
 from napari_mufasa.compare.distributions import dwell_frames
+from napari_mufasa.files.traces import read_traces
 from napari_mufasa.photophysics import rates
-from napari_mufasa.trace_files import read_traces
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = {"mufasa": 2263, "poisson": 2269, "sofi": 3065}  # note 10, ADU

@@ -7,7 +7,7 @@ import pandas as pd
 from tests.spec_example import MODEL
 
 from napari_mufasa.discover.result import ERROR_UNIT, Candidate, Curve, Report
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 
 
 def candidate(effect: str, evidence: float, after: float | None, alike: tuple[str, ...] = ()) -> Candidate:

@@ -7,7 +7,7 @@ import pytest
 from tests.real_data import real_data
 
 import napari_mufasa as nm
-from napari_mufasa.calibrate import calibrate, leading_dark_frames
+from napari_mufasa.calibrate.measure import calibrate, leading_dark_frames
 
 
 def movie_and_dark(name, **changes):

@@ -19,10 +19,10 @@ from tests.report_example import report
 from tests.spec_example import MODEL
 
 import napari_mufasa as nm
-from napari_mufasa import io
+from napari_mufasa import files
 from napari_mufasa.cli import main
 from napari_mufasa.cli.app import app, spread_lists
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 
 VERBS = {
     "demo": {"--out", "--viewer", "--seed"},
@@ -117,16 +117,16 @@ def test_presets_print_models_that_read_back(cli, tmp_path):
 
 
 def test_the_movie_is_the_librarys_and_carries_model_and_seed(movie_file, model_file):
-    movie = io.read_movie(movie_file)
+    movie = files.read_movie(movie_file)
     model = Model.from_json(model_file)
-    assert (movie.model, movie.seed) == (model, 3)
+    assert (Model.stored_in(movie.metadata), movie.seed) == (model, 3)
     np.testing.assert_array_equal(np.asarray(movie.data), nm.simulate(model, seed=3).movie)
 
 
 def test_zarr_holds_the_same_movie(cli, movie_file, model_file, tmp_path):
     assert cli("simulate", "--model", model_file, "--out", tmp_path / "m.zarr", "--seed", 3)[0] == 0
-    np.testing.assert_array_equal(io.load(tmp_path / "m.zarr"), io.load(movie_file))
-    assert io.read_movie(tmp_path / "m.zarr").model == Model.from_json(model_file)
+    np.testing.assert_array_equal(files.load(tmp_path / "m.zarr"), files.load(movie_file))
+    assert Model.stored_in(files.read_movie(tmp_path / "m.zarr").metadata) == Model.from_json(model_file)
 
 
 def test_options_change_the_model_in_the_metadata(cli, tmp_path):
@@ -135,19 +135,19 @@ def test_options_change_the_model_in_the_metadata(cli, tmp_path):
         "--effect", "stage_drift:distance_px=2.5,form=saturating", "--effect", "row_noise", "--engine", "exact",
     )  # fmt: skip
     assert (code, err) == (0, "")  # nothing on stderr when piped: no progress bar
-    model = io.read_movie(tmp_path / "m.tif").model
+    model = Model.stored_in(files.read_movie(tmp_path / "m.tif").metadata)
     assert model.acquisition.n_frames == 7 and model.acquisition.shape_px == (20, 30)
     assert model.sample.n_molecules == 4
     drift, rows = model.effects
     assert (drift.kind, drift.distance_px, drift.form, rows.kind) == ("stage_drift", 2.5, "saturating", "row_noise")
-    assert io.load(tmp_path / "m.tif").shape == (7, 20, 30)
+    assert files.load(tmp_path / "m.tif").shape == (7, 20, 30)
 
 
 def test_truth_is_what_was_simulated(cli, model_file, tmp_path):
-    from napari_mufasa.simulation import Acquisition
+    from napari_mufasa.simulate.movie import SimulatedAcquisition
 
     cli("simulate", "--model", model_file, "--out", tmp_path / "m.tif", "--truth", tmp_path / "truth", "--seed", 5)
-    acquisition = Acquisition(Model.from_json(model_file), seed=5)
+    acquisition = SimulatedAcquisition(Model.from_json(model_file), seed=5)
     rows = pd.read_csv(tmp_path / "truth" / "emission.csv")
     emission = np.zeros_like(acquisition.emission)
     emission[rows["molecule"], rows["frame"]] = rows["photons"]
@@ -162,7 +162,7 @@ def test_positions_come_from_a_table_in_nm(cli, model_file, tmp_path):
         "--truth", tmp_path / "t")  # fmt: skip
     positions = pd.read_csv(tmp_path / "t" / "positions.csv")
     np.testing.assert_allclose(positions[["y_px", "x_px"]], [[20, 10], [10, 30]])  # centres of those pixels
-    assert io.read_movie(tmp_path / "m.tif").model.sample.n_molecules == 2
+    assert Model.stored_in(files.read_movie(tmp_path / "m.tif").metadata).sample.n_molecules == 2
 
 
 # --- denoise, traces, compare, calibrate, design -------------------------------------------------------------
@@ -172,10 +172,10 @@ def test_denoised_photons_are_unbiased_and_nearer_to_the_light(cli, movie_file, 
     from napari_mufasa.cli import measuring
 
     assert cli("denoise", movie_file, "--model", model_file, "--out", tmp_path / "d.tif")[0] == 0
-    photons = io.load(tmp_path / "d.tif")
+    photons = files.load(tmp_path / "d.tif")
     model = Model.from_json(model_file)
     truth = nm.simulate(model, seed=3).optical
-    raw = nm.denoise(io.load(movie_file), model.camera, method="none")
+    raw = nm.denoise(files.load(movie_file), model.camera, method="none")
     assert photons.dtype == np.float32 and photons.shape == truth.shape
     assert np.mean((photons - truth) ** 2) < 0.2 * np.mean((raw - truth) ** 2)
     # 276 480 pixels with a sd of about 5 photons: the mean is known to 0.01; five of them.
@@ -183,12 +183,12 @@ def test_denoised_photons_are_unbiased_and_nearer_to_the_light(cli, movie_file, 
 
     monkeypatch.setattr(measuring, "IN_MEMORY_BYTES", 0)  # a movie too large for memory goes through a file
     assert cli("denoise", movie_file, "--model", model_file, "--out", tmp_path / "d.zarr")[0] == 0
-    np.testing.assert_array_equal(io.load(tmp_path / "d.zarr"), photons)
+    np.testing.assert_array_equal(files.load(tmp_path / "d.zarr"), photons)
     assert leftovers(tmp_path) == ["d.tif", "d.zarr"]
 
 
 def test_traces_are_tables_whose_level_is_the_designs(cli, movie_file, model_file, tmp_path):
-    from napari_mufasa.design import predict
+    from napari_mufasa.design.predict import predict
 
     code, out, _ = cli("traces", movie_file, "--model", model_file, "--out", tmp_path / "t")
     assert code == 0 and "molecules kept" in out
@@ -204,7 +204,7 @@ def test_traces_are_tables_whose_level_is_the_designs(cli, movie_file, model_fil
 
 
 def test_window_and_best_cut_the_traces(cli, model_file, tmp_path):
-    from napari_mufasa import trace_files
+    from napari_mufasa.files import traces as trace_files
 
     bleaching = Model.from_json(model_file).with_values({"fluorophore.cycles_before_bleaching": 8e4})
     bleaching.to_json(tmp_path / "b.json")
@@ -238,7 +238,7 @@ def test_what_a_trace_holds_and_which_are_kept_are_options(cli, movie_file, mode
 def test_diagnose_takes_a_table_of_traces(cli, model_file, tmp_path, monkeypatch):
     from napari_mufasa.compare.simulated import FarApart
     from napari_mufasa.discover import traces_alone
-    from napari_mufasa.trace_files import write_trace_file
+    from napari_mufasa.files.traces import write_trace_file
     from napari_mufasa.traces import Options
 
     monkeypatch.setattr(traces_alone, "candidate_kinds", lambda model: ["photobleaching"])
@@ -283,8 +283,8 @@ def test_calibrate_recovers_the_camera(cli, model_file, tmp_path):
     bright = Model.from_json(model_file).with_values({"optics.background_photons_per_px": 30})
     still = bright.with_effects(nm.Model.from_dict(MODEL | {"effects": [{"kind": "background_gradient"}]}).effects[0])
     movie, dark = nm.simulate(still, seed=1).movie, nm.simulate_dark(still, 60, seed=2)
-    io.write_movie(tmp_path / "m.tif", [movie], movie.shape, movie.dtype)
-    io.write_movie(tmp_path / "d.tif", [dark], dark.shape, dark.dtype)
+    files.write_movie(tmp_path / "m.tif", [movie], movie.shape, movie.dtype)
+    files.write_movie(tmp_path / "d.tif", [dark], dark.shape, dark.dtype)
     code, out, _ = cli("calibrate", tmp_path / "m.tif", "--dark", tmp_path / "d.tif", "--em-gain", 300,
                        "--out", tmp_path / "camera.json")  # fmt: skip
     assert code == 0 and "baseline" in out
@@ -309,7 +309,9 @@ def test_design_prints_and_writes_a_sweep(cli, model_file, tmp_path):
 @pytest.fixture
 def told(monkeypatch):
     """The discovery answered by a made-up report; keeps what it was asked."""
-    from napari_mufasa import discover, figures, html_report
+    from napari_mufasa import discover
+    from napari_mufasa.report import figures
+    from napari_mufasa.report import html as html_report
 
     asked = {}
 
@@ -412,7 +414,7 @@ def test_bad_input_is_one_line_exit_2_and_no_file(case, cli, movie_file, model_f
 
 
 def test_a_fault_of_ours_is_one_line_and_exit_1_with_the_traceback_on_request(cli, monkeypatch):
-    from napari_mufasa import presets
+    from napari_mufasa.model import presets
 
     def broken(name: str) -> None:
         raise KeyError("inner")
@@ -428,7 +430,7 @@ def test_a_full_disk_is_told_in_one_line(cli, monkeypatch, tmp_path):
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device", str(tmp_path / "m.tif"))
 
-    monkeypatch.setattr(io, "write_movie", full)
+    monkeypatch.setattr(files, "write_movie", full)
     code, _, err = cli("simulate", "--preset", "FF", "--frames", 2, "--out", tmp_path / "m.tif")
     assert code == 2 and "no space left on device" in err and err.count("\n") == 1
 
@@ -436,8 +438,8 @@ def test_a_full_disk_is_told_in_one_line(cli, monkeypatch, tmp_path):
 def test_a_failure_while_writing_a_folder_leaves_no_part_of_it(
     cli, told, movie_file, model_file, tmp_path, monkeypatch
 ):
-    from napari_mufasa import html_report
     from napari_mufasa.errors import MufasaError
+    from napari_mufasa.report import html as html_report
 
     def fails(*_: object, **__: object) -> str:
         raise MufasaError("no")

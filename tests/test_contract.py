@@ -15,10 +15,10 @@ import tifffile
 from tests.spec_example import EFFECTS, MODEL
 
 import napari_mufasa as nm
-from napari_mufasa import io
 from napari_mufasa.cli import main
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.model import Model
+from napari_mufasa.files import load, write_movie
+from napari_mufasa.model.model import Model
 
 # A smaller movie than the example's.
 PRINTED = MODEL | {"acquisition": MODEL["acquisition"] | {"n_frames": 60, "shape_px": [64, 64]}}
@@ -40,7 +40,7 @@ def files(model, recorded, tmp_path_factory) -> Path:
     """A folder with model.json, movie.ome.tif and dark.tif."""
     folder = tmp_path_factory.mktemp("files")
     model.to_json(folder / "model.json")
-    io.write_movie(folder / "movie.ome.tif", [recorded.movie], recorded.movie.shape, np.uint16, model=model, seed=1)
+    write_movie(folder / "movie.ome.tif", [recorded.movie], recorded.movie.shape, np.uint16, model=model, seed=1)
     tifffile.imwrite(folder / "dark.tif", nm.simulate_dark(model, 20, seed=2))
     return folder
 
@@ -168,7 +168,7 @@ def test_the_same_seed_gives_the_same_file_and_the_librarys_movie(cli, files, re
     for name in ("a", "b"):
         arguments = ("simulate", "--model", files / "model.json", "--seed", 1, "--out", tmp_path / f"{name}{suffix}")
         assert cli(*arguments) == (0, "")
-    np.testing.assert_array_equal(io.load(tmp_path / f"a{suffix}"), recorded.movie)
+    np.testing.assert_array_equal(load(tmp_path / f"a{suffix}"), recorded.movie)
     assert _content(tmp_path / f"a{suffix}") == _content(tmp_path / f"b{suffix}")
 
 
@@ -242,7 +242,7 @@ def test_a_bad_movie_is_told_in_one_line(model, verb, case):
     "dark", [FRAMES[:, :5], np.full((10, 32, 32), np.nan), FRAMES[:0], -FRAMES.astype(int), FRAMES.astype(str)]
 )
 def test_bad_dark_frames_are_told(model, dark):
-    from napari_mufasa.calibrate import calibrate
+    from napari_mufasa.calibrate.measure import calibrate
 
     with pytest.raises(MufasaError, match="dark"):
         nm.extract_traces(FRAMES, model.camera, dark)
@@ -252,7 +252,7 @@ def test_bad_dark_frames_are_told(model, dark):
 
 @pytest.mark.parametrize("case", ["nan", "negative", "complex"])
 def test_calibration_refuses_what_no_camera_records(case):
-    from napari_mufasa.calibrate import calibrate
+    from napari_mufasa.calibrate.measure import calibrate
 
     with pytest.raises(MufasaError, match="raw counts"):
         calibrate(MOVIES[case], FRAMES)
@@ -292,7 +292,7 @@ def test_the_wrong_thing_is_told_by_name(model):
 
 def _damaged(files: Path, folder: Path) -> dict[str, Path]:
     movie = files / "movie.ome.tif"
-    raw, data = movie.read_bytes(), io.load(movie)
+    raw, data = movie.read_bytes(), load(movie)
     made = {name: folder / f"{name}.tif" for name in ("half", "head", "empty", "text", "nan", "negative", "colour")}
     made["half"].write_bytes(raw[: len(raw) // 2])
     made["head"].write_bytes(raw[:100])
@@ -324,8 +324,8 @@ def test_an_impossible_folder_is_told_before_the_work(cli, files, monkeypatch, v
     def never(*_: object, **__: object) -> None:
         raise AssertionError("worked before looking at the output")
 
-    monkeypatch.setattr(io, "read_movie", never)
-    monkeypatch.setattr("napari_mufasa.demo.run", never)
+    monkeypatch.setattr("napari_mufasa.files.read_movie", never)
+    monkeypatch.setattr("napari_mufasa.cli.demo.run", never)
     given = [] if verb == "demo" else [files / "movie.ome.tif", "--model", files / "model.json"]
     code, err = cli(verb, *given, "--out", files / "model.json" / "inside")
     assert code == 2 and "is a file" in err and err.count("\n") == 1

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from tests.report_example import report
 
-from napari_mufasa import demo, io
+from napari_mufasa import files
+from napari_mufasa.cli import demo
 from napari_mufasa.effects import effect_class
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 
 USERS_FILES = {"movie.ome.tif", "dark.ome.tif", "model.json"}
 
@@ -43,8 +44,8 @@ def test_the_files_do_not_give_the_effect_away(prepared):
     for name in USERS_FILES:
         assert kind.encode() not in (prepared / name).read_bytes(), name
     for name in ("movie.ome.tif", "dark.ome.tif"):
-        movie = io.read_movie(prepared / name)
-        assert movie.model == Model.from_json(prepared / "model.json") and movie.seed is None
+        movie = files.read_movie(prepared / name)
+        assert Model.stored_in(movie.metadata) == Model.from_json(prepared / "model.json") and movie.seed is None
     assert Model.from_dict(truth["model"]).effects[0].kind == kind
 
 
@@ -57,12 +58,14 @@ def test_the_believed_values_are_a_few_percent_off(prepared):
 
 def test_a_seed_gives_the_same_acquisition(prepared, tmp_path):
     demo.prepare(tmp_path, seed=4)
-    np.testing.assert_array_equal(io.load(tmp_path / "movie.ome.tif"), io.load(prepared / "movie.ome.tif"))
+    np.testing.assert_array_equal(files.load(tmp_path / "movie.ome.tif"), files.load(prepared / "movie.ome.tif"))
 
 
 def test_the_users_part_reads_only_the_users_files(prepared, tmp_path, monkeypatch):
     """It runs in a folder without the envelope, and is given nothing but the folder."""
-    from napari_mufasa import discover, figures, html_report
+    from napari_mufasa import discover
+    from napari_mufasa.report import figures
+    from napari_mufasa.report import html as html_report
 
     for name in USERS_FILES:
         (tmp_path / name).write_bytes((prepared / name).read_bytes())
@@ -77,7 +80,7 @@ def test_the_users_part_reads_only_the_users_files(prepared, tmp_path, monkeypat
     monkeypatch.setattr(figures.Drawing, "render", lambda self, theme, kind="png": b"")
     said: list[str] = []
     demo.investigate(tmp_path, said.append)
-    np.testing.assert_array_equal(asked["movie"], io.load(prepared / "movie.ome.tif"))
+    np.testing.assert_array_equal(asked["movie"], files.load(prepared / "movie.ome.tif"))
     assert asked["model"] == Model.from_dict(demo.BELIEVED) and len(asked["dark"]) == demo.N_DARK
     assert "seed" not in asked  # the seed that hid the effect is not handed on
     assert any("before 2.93, after 1.04, floor 0.98" in line for line in said)
@@ -95,7 +98,7 @@ def test_the_users_part_reads_only_the_users_files(prepared, tmp_path, monkeypat
 )
 def test_the_envelope_is_told_honestly(kind, words, tmp_path):
     effect = effect_class(kind)()
-    io.write_json(tmp_path / "envelope.json", {"effect": effect.model_dump()})
+    files.write_json(tmp_path / "envelope.json", {"effect": effect.model_dump()})
     lines = demo.open_envelope(tmp_path, report())  # names triplet_blinking, not told from long_dark_state
     assert effect.title in lines[0] and words in lines[1]
 

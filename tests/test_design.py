@@ -7,8 +7,8 @@ import pytest
 from tests.spec_example import MODEL
 
 from napari_mufasa import MufasaError, camera, compare, preset, simulate, simulate_emission
-from napari_mufasa.design import predict, sweep
-from napari_mufasa.model import Model
+from napari_mufasa.design.predict import design, predict
+from napari_mufasa.model.model import Model
 
 EXAMPLE = Model.from_dict(MODEL)
 
@@ -74,14 +74,16 @@ def test_w1_floor_is_that_of_two_halves():
 
 
 def test_a_sweep_varies_what_it_is_told():
-    table = sweep(EXAMPLE, {"excitation.power_density_w_per_cm2": [10, 20], "acquisition.frame_length_s": [0.01, 0.02]})
+    table = design(
+        EXAMPLE, {"excitation.power_density_w_per_cm2": [10, 20], "acquisition.frame_length_s": [0.01, 0.02]}
+    )
     assert len(table) == 4
     photons = table["emitted_photons_per_frame"].to_numpy()
     np.testing.assert_allclose(photons / photons[0], [1, 2, 2, 4], rtol=1e-3)  # far from saturation
     with pytest.raises(MufasaError, match=r"no excitation\.colour"):
-        sweep(EXAMPLE, {"excitation.colour": [1]})
+        design(EXAMPLE, {"excitation.colour": [1]})
     with pytest.raises(MufasaError, match="combinations"):
-        sweep(EXAMPLE, {"optics.psf_fwhm_nm": []})
+        design(EXAMPLE, {"optics.psf_fwhm_nm": []})
 
 
 def test_a_triplet_without_return_ends_the_light():

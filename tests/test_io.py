@@ -8,7 +8,7 @@ import pytest
 import tifffile
 import zarr
 
-from napari_mufasa import Cancelled, MufasaError, io, preset
+from napari_mufasa import Cancelled, Model, MufasaError, files, preset
 from napari_mufasa.effects import catalogue
 
 RNG = np.random.default_rng(1)
@@ -35,19 +35,19 @@ def complaint(action, *args):
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_movies_come_back_with_model_and_seed(tmp_path, name, dtype):
     movie = MOVIE.astype(dtype)
-    io.write_movie(tmp_path / name, blocks(movie), movie.shape, dtype, model=MODEL, seed=np.int64(42))
-    back = io.read_movie(tmp_path / name)
+    files.write_movie(tmp_path / name, blocks(movie), movie.shape, dtype, model=MODEL, seed=np.int64(42))
+    back = files.read_movie(tmp_path / name)
     assert back.data.dtype == dtype
     np.testing.assert_array_equal(np.asarray(back.data), movie)
     np.testing.assert_array_equal(np.asarray(back.data[2:5, 3]), movie[2:5, 3])
-    assert (back.model, back.seed) == (MODEL, 42)
-    np.testing.assert_array_equal(io.load(tmp_path / name), movie)
+    assert (Model.stored_in(back.metadata), back.seed) == (MODEL, 42)
+    np.testing.assert_array_equal(files.load(tmp_path / name), movie)
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
 def test_pixel_size_is_in_the_ome_description(tmp_path):
     path = tmp_path / "m.ome.tif"
-    io.write_movie(path, [MOVIE], MOVIE.shape, np.uint16, model=MODEL)
+    files.write_movie(path, [MOVIE], MOVIE.shape, np.uint16, model=MODEL)
     with tifffile.TiffFile(path) as file:
         pixels = tifffile.xml2dict(file.ome_metadata)["OME"]["Image"]["Pixels"]
     assert (pixels["PhysicalSizeX"], pixels["PhysicalSizeXUnit"]) == (pytest.approx(0.1075), "µm")
@@ -57,8 +57,8 @@ def test_pixel_size_is_in_the_ome_description(tmp_path):
 
 def test_a_single_frame_movie_keeps_its_axis(tmp_path):
     for name in ("one.ome.tif", "one.zarr"):
-        io.write_movie(tmp_path / name, [MOVIE[:1]], (1, 12, 20), np.uint16, seed=3)
-        assert io.load(tmp_path / name).shape == (1, 12, 20)
+        files.write_movie(tmp_path / name, [MOVIE[:1]], (1, 12, 20), np.uint16, seed=3)
+        assert files.load(tmp_path / name).shape == (1, 12, 20)
 
 
 def test_foreign_files_are_read(tmp_path):
@@ -69,10 +69,10 @@ def test_foreign_files_are_read(tmp_path):
     tifffile.imwrite(tmp_path / "packed.tif", MOVIE, compression="zlib")
     zarr.save_array(str(tmp_path / "plain.zarr"), MOVIE)
     for name in ("plain.tif", "imagej.tif", "ones.ome.tif", "packed.tif", "plain.zarr"):
-        movie = io.read_movie(tmp_path / name)
+        movie = files.read_movie(tmp_path / name)
         np.testing.assert_array_equal(np.asarray(movie.data), MOVIE)
-        assert movie.model is None and movie.seed is None
-    assert io.load(tmp_path / "image.tif").shape == (1, 12, 20)
+        assert Model.stored_in(movie.metadata) is None and movie.seed is None
+    assert files.load(tmp_path / "image.tif").shape == (1, 12, 20)
 
 
 def test_frames_are_streamed(tmp_path):
@@ -85,31 +85,32 @@ def test_frames_are_streamed(tmp_path):
                 given.append(i)
                 yield np.full((1, 12, 20), i, np.uint16)
 
-        io.write_movie(tmp_path / name, stream(), (7, 12, 20), np.uint16)
+        files.write_movie(tmp_path / name, stream(), (7, 12, 20), np.uint16)
         assert given == list(range(7))
-        assert io.load(tmp_path / name)[:, 0, 0].tolist() == list(range(7))
+        assert files.load(tmp_path / name)[:, 0, 0].tolist() == list(range(7))
 
 
 def test_a_stored_model_that_cannot_be_restored_leaves_the_movie_readable(tmp_path):
-    io.write_movie(tmp_path / "m.zarr", [MOVIE], MOVIE.shape, np.uint16, model=MODEL, seed=5)
+    files.write_movie(tmp_path / "m.zarr", [MOVIE], MOVIE.shape, np.uint16, model=MODEL, seed=5)
     array = zarr.open_array(str(tmp_path / "m.zarr"), mode="r+")
-    stored = array.attrs[io.METADATA_KEY]
+    stored = array.attrs[files.METADATA_KEY]
     stored["model"]["effects"][0]["kind"] = "effect_of_a_package_not_installed"
-    array.attrs[io.METADATA_KEY] = stored
+    array.attrs[files.METADATA_KEY] = stored
+    movie = files.read_movie(tmp_path / "m.zarr")
     with pytest.warns(UserWarning, match="effect_of_a_package_not_installed"):
-        movie = io.read_movie(tmp_path / "m.zarr")
-    assert movie.model is None and movie.seed == 5 and movie.data.shape == MOVIE.shape
+        assert Model.stored_in(movie.metadata) is None
+    assert movie.seed == 5 and movie.data.shape == MOVIE.shape
 
 
 def test_missing(tmp_path):
-    assert "no file" in complaint(io.read_movie, tmp_path / "nowhere.tif")
+    assert "no file" in complaint(files.read_movie, tmp_path / "nowhere.tif")
 
 
 @pytest.mark.parametrize("content", [b"", b"not a tiff at all", b"II*\x00\x08\x00\x00\x00\x00\x00\x00\x00\x00\x00"])
 def test_garbage_is_told_in_one_line(tmp_path, content):
     path = tmp_path / "bad.tif"
     path.write_bytes(content)
-    assert "bad.tif" in complaint(io.read_movie, path)
+    assert "bad.tif" in complaint(files.read_movie, path)
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.95])
@@ -117,20 +118,20 @@ def test_garbage_is_told_in_one_line(tmp_path, content):
 def test_truncated_files_are_told(tmp_path, share, ome):
     path = tmp_path / ("bad.ome.tif" if ome else "bad.tif")
     if ome:
-        io.write_movie(path, [MOVIE], MOVIE.shape, np.uint16, model=MODEL)
+        files.write_movie(path, [MOVIE], MOVIE.shape, np.uint16, model=MODEL)
     else:
         tifffile.imwrite(path, MOVIE)
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
-    assert "bad" in complaint(io.load, path)
+    assert "bad" in complaint(files.load, path)
 
 
 def test_damaged_zarr_is_told(tmp_path):
     (tmp_path / "empty.zarr").mkdir()
-    assert "empty.zarr" in complaint(io.read_movie, tmp_path / "empty.zarr")
-    io.write_movie(tmp_path / "m.zarr", [MOVIE], MOVIE.shape, np.uint16)
+    assert "empty.zarr" in complaint(files.read_movie, tmp_path / "empty.zarr")
+    files.write_movie(tmp_path / "m.zarr", [MOVIE], MOVIE.shape, np.uint16)
     (tmp_path / "m.zarr" / "zarr.json").write_text("{")
-    assert "m.zarr" in complaint(io.read_movie, tmp_path / "m.zarr")
+    assert "m.zarr" in complaint(files.read_movie, tmp_path / "m.zarr")
 
 
 def test_wrong_shapes_are_told(tmp_path):
@@ -141,10 +142,10 @@ def test_wrong_shapes_are_told(tmp_path):
     zarr.save_array(str(tmp_path / "none.zarr"), np.zeros((0, 4, 4)))
     zarr.save_array(str(tmp_path / "complex.zarr"), np.zeros((2, 4, 4), complex))
     for name in ("rgb.tif", "rgbs.tif"):
-        assert "colour" in complaint(io.read_movie, tmp_path / name)
+        assert "colour" in complaint(files.read_movie, tmp_path / name)
     for name in ("tc.ome.tif", "line.zarr", "none.zarr"):
-        assert "(frame, y, x)" in complaint(io.read_movie, tmp_path / name)
-    assert "real numbers" in complaint(io.read_movie, tmp_path / "complex.zarr")
+        assert "(frame, y, x)" in complaint(files.read_movie, tmp_path / name)
+    assert "real numbers" in complaint(files.read_movie, tmp_path / "complex.zarr")
 
 
 @pytest.mark.parametrize("name", ["m.ome.tif", "m.zarr"])
@@ -155,7 +156,7 @@ def test_nothing_is_half_written(tmp_path, name, failure):
         raise failure("in the middle")
 
     def write(frames):
-        io.write_movie(tmp_path / name, frames, MOVIE.shape, np.uint16)
+        files.write_movie(tmp_path / name, frames, MOVIE.shape, np.uint16)
 
     with pytest.raises(failure):
         write(stream())
@@ -163,20 +164,20 @@ def test_nothing_is_half_written(tmp_path, name, failure):
     write([MOVIE])
     with pytest.raises(failure):  # and an older file stays whole
         write(stream())
-    np.testing.assert_array_equal(io.load(tmp_path / name), MOVIE)
+    np.testing.assert_array_equal(files.load(tmp_path / name), MOVIE)
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.parametrize("name", ["m.ome.tif", "m.zarr"])
 @pytest.mark.parametrize("frames", [MOVIE[:5], np.concatenate([MOVIE, MOVIE]), MOVIE[:, :5]])
 def test_other_frames_than_announced_are_refused(tmp_path, name, frames):
-    complaint(lambda: io.write_movie(tmp_path / name, blocks(frames), MOVIE.shape, np.uint16))
+    complaint(lambda: files.write_movie(tmp_path / name, blocks(frames), MOVIE.shape, np.uint16))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_where_nothing_can_be_written(tmp_path):
     def write(path):
-        io.write_movie(path, [MOVIE], MOVIE.shape, np.uint16)
+        files.write_movie(path, [MOVIE], MOVIE.shape, np.uint16)
 
     assert "no folder" in complaint(write, tmp_path / "nowhere" / "m.tif")
     assert ".ome.tif" in complaint(write, tmp_path / "m.avi")
@@ -184,33 +185,33 @@ def test_where_nothing_can_be_written(tmp_path):
     folder.mkdir()
     (folder / "precious.txt").write_text("keep")
     assert "is a folder" in complaint(write, folder)
-    assert "is a folder" in complaint(io.write_text, folder, "text")
+    assert "is a folder" in complaint(files.write_text, folder, "text")
     assert (folder / "precious.txt").read_text() == "keep"
 
 
 def test_a_zarr_movie_is_replaced_by_a_new_one(tmp_path):
     for value in (1, 2):
-        io.write_movie(tmp_path / "m.zarr", [np.full_like(MOVIE, value)], MOVIE.shape, np.uint16)
-    assert np.all(io.load(tmp_path / "m.zarr") == 2)
+        files.write_movie(tmp_path / "m.zarr", [np.full_like(MOVIE, value)], MOVIE.shape, np.uint16)
+    assert np.all(files.load(tmp_path / "m.zarr") == 2)
 
 
 def test_json_has_no_nan(tmp_path):
     data = {"a": np.float64("nan"), "b": [np.int32(3), float("inf")], 5: np.array([1.5, 2.0]), "c": np.bool_(True)}
-    io.write_json(tmp_path / "r.json", data)
+    files.write_json(tmp_path / "r.json", data)
     assert json.loads((tmp_path / "r.json").read_text()) == {"a": None, "b": [3, None], "5": [1.5, 2.0], "c": True}
-    assert io.read_json(tmp_path / "r.json")["c"] is True
+    assert files.read_json(tmp_path / "r.json")["c"] is True
     with pytest.raises(MufasaError, match="not readable JSON"):
-        io.read_json(tmp_path / "nowhere.json")
+        files.read_json(tmp_path / "nowhere.json")
 
 
 def test_json_that_cannot_be_written_leaves_the_old_file(tmp_path):
-    io.write_json(tmp_path / "r.json", {"a": 1})
+    files.write_json(tmp_path / "r.json", {"a": 1})
     with pytest.raises(TypeError):
-        io.write_json(tmp_path / "r.json", {"a": object()})
-    assert io.read_json(tmp_path / "r.json") == {"a": 1}
+        files.write_json(tmp_path / "r.json", {"a": object()})
+    assert files.read_json(tmp_path / "r.json") == {"a": 1}
 
 
 def test_tables_come_back(tmp_path):
     table = pd.DataFrame({"molecule": [0, 1], "y_px": [1.5, 2.25], "reason": ["", "touching a neighbour"]})
-    io.write_table(tmp_path / "t.csv", table)
+    files.write_table(tmp_path / "t.csv", table)
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "t.csv", keep_default_na=False), table)

@@ -9,7 +9,7 @@ from tests.spec_example import MODEL
 
 from napari_mufasa import Model, MufasaError, preset
 from napari_mufasa.effects import catalogue
-from napari_mufasa.model import Camera
+from napari_mufasa.model.setup import Camera
 
 EXAMPLE = MODEL | {"effects": [{"kind": "stage_drift", "distance_px": 2.0}]}
 

@@ -12,8 +12,11 @@ import pytest
 from matplotlib.figure import Figure
 from tests.report_example import candidate, report
 
-from napari_mufasa import figures, html_report, plotting, wording
 from napari_mufasa.compare.distributions import Distribution
+from napari_mufasa.report import figures
+from napari_mufasa.report import html as html_report
+from napari_mufasa.report import plots as plotting
+from napari_mufasa.report import words as wording
 
 RNG = np.random.default_rng(0)
 TRACES = RNG.normal(20, 5, (6, 100))
@@ -205,7 +208,7 @@ def test_the_model_on_the_page_is_the_completed_model(page):
     import html
     import json
 
-    from napari_mufasa.model import Model
+    from napari_mufasa.model.model import Model
 
     text = html.unescape(re.search(r"<pre id=model>(.*?)</pre>", page, re.S).group(1))
     assert Model.from_dict(json.loads(text)) == report().model
@@ -248,7 +251,7 @@ def test_what_is_still_off_is_told(monkeypatch):
 def test_export_writes_every_file_whole(tmp_path, monkeypatch):
     import json
 
-    from napari_mufasa.model import Model
+    from napari_mufasa.model.model import Model
 
     monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
     html_report.export(tmp_path, report(), TRACES)

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from napari_mufasa import Cancelled, MufasaError, preset, simulate, simulate_dark, simulate_emission, simulation
-from napari_mufasa.camera import photoelectrons, photons
+from napari_mufasa import Cancelled, MufasaError, preset, simulate, simulate_dark, simulate_emission
+from napari_mufasa.camera.detector import photoelectrons, photons
+from napari_mufasa.chance.streams import Streams
 from napari_mufasa.effects import catalogue
-from napari_mufasa.streams import Streams
+from napari_mufasa.simulate import movie as simulation
 
 CAMERAS = {
     "CCD": {"type": "CCD", "em_gain": None, "read_noise_e": 5.0, "electrons_per_adu": 2.0},
@@ -93,7 +94,7 @@ def test_one_seed_gives_one_movie_whatever_workers_and_blocks(monkeypatch, block
     model = everything()
     reference = simulate(model, seed=3)
     monkeypatch.setattr(simulation, "BLOCK_BYTES", block_frames * 4 * 20 * 28)
-    assert simulation.Acquisition(model, seed=3).block_frames() == block_frames
+    assert simulation.SimulatedAcquisition(model, seed=3).block_frames() == block_frames
     again = simulate(model, seed=3, workers=workers)
     np.testing.assert_array_equal(again.movie, reference.movie)
     np.testing.assert_array_equal(again.optical, reference.optical)

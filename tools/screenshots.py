@@ -181,7 +181,7 @@ def real(viewer: Any, workflow: Any) -> Iterator[str]:
 
 def drawn(dock: Any) -> None:
     """Wait for the plots, which are drawn in a thread."""
-    from napari_mufasa.widgets.plot import PlotCanvas
+    from napari_mufasa.widgets.parts.plot import PlotCanvas
 
     while any(canvas.busy for canvas in dock.findChildren(PlotCanvas)):
         pump(0.05)

@@ -1,55 +1,79 @@
 """napari-mufasa: simulate, denoise, extract, compare, and find the physics a model lacks.
 
-The public names, imported on first use.
+The public names, imported on first use. Four of them (`simulate`, `denoise`, `calibrate`, `design`) are also the names
+of sub-packages: those can be called like the function, so that importing anything below them hides nothing.
 """
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from napari_mufasa.calibrate import Calibration, calibrate
+    from napari_mufasa.compare import Comparison, compare_movie, compare_traces
     from napari_mufasa.compare.wasserstein import wasserstein
     from napari_mufasa.denoise import denoise, pure_let
-    from napari_mufasa.discover import diagnose
-    from napari_mufasa.effects import Effect
+    from napari_mufasa.design import Prediction, design, predict
+    from napari_mufasa.discover import Investigation, Report, diagnose, diagnose_traces, refine
+    from napari_mufasa.effects import Effect, catalogue
     from napari_mufasa.errors import Cancelled, MufasaError
-    from napari_mufasa.model import Camera, Model
-    from napari_mufasa.presets import preset
-    from napari_mufasa.simulation import simulate, simulate_dark, simulate_emission
-    from napari_mufasa.traces import extract_traces
+    from napari_mufasa.model import Camera, Model, Setup, preset
+    from napari_mufasa.simulate import SimulatedAcquisition, Simulation, simulate, simulate_dark, simulate_emission
+    from napari_mufasa.traces import TraceSet, extract_traces
 
 _HOMES = {
-    "Camera": "model",
-    "Cancelled": "errors",
-    "Effect": "effects",
-    "Model": "model",
-    "MufasaError": "errors",
-    "denoise": "denoise",
-    "diagnose": "discover",
-    "extract_traces": "traces",
-    "preset": "presets",
-    "pure_let": "denoise",
-    "simulate": "simulation",
-    "simulate_dark": "simulation",
-    "simulate_emission": "simulation",
-    "wasserstein": "compare",
+    "calibrate": ("Calibration", "calibrate"),
+    "compare": ("Comparison", "compare_movie", "compare_traces", "wasserstein"),
+    "denoise": ("denoise", "pure_let"),
+    "design": ("Prediction", "design", "predict"),
+    "discover": ("Investigation", "Report", "diagnose", "diagnose_traces", "refine"),
+    "effects": ("Effect", "catalogue"),
+    "errors": ("Cancelled", "MufasaError"),
+    "model": ("Camera", "Model", "Setup", "preset"),
+    "simulate": ("SimulatedAcquisition", "Simulation", "simulate", "simulate_dark", "simulate_emission"),
+    "traces": ("TraceSet", "extract_traces"),
 }
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Camera", "Cancelled", "Effect", "Model", "MufasaError", "denoise", "diagnose", "extract_traces", "preset",
-    "pure_let", "simulate", "simulate_dark", "simulate_emission", "wasserstein",
+    "Calibration", "Camera", "Cancelled", "Comparison", "Effect", "Investigation", "Model", "MufasaError",
+    "Prediction", "Report", "Setup", "SimulatedAcquisition", "Simulation", "TraceSet", "calibrate", "catalogue",
+    "compare_movie", "compare_traces", "denoise", "design", "diagnose", "diagnose_traces", "extract_traces", "predict",
+    "preset", "pure_let", "refine", "simulate", "simulate_dark", "simulate_emission", "wasserstein",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"napari_mufasa has no {name}; public names are {', '.join(sorted(_HOME_OF))}")
+    value = getattr(import_module(f"napari_mufasa.{_HOME_OF[name]}"), name)
     if name not in _HOMES:
-        raise AttributeError(f"napari_mufasa has no {name}; public names are {', '.join(sorted(_HOMES))}")
-    value = getattr(import_module(f"napari_mufasa.{_HOMES[name]}"), name)
-    globals()[name] = value
+        globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *_HOME_OF})
+
+
+class _Callable(ModuleType):
+    """A sub-package that is called like the public function of its name."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return getattr(self, self.__name__.rpartition(".")[2])(*args, **kwargs)
+
+
+class _Package(ModuleType):
+    """This package: where importing a sub-package would hide a function, the sub-package can be called."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if isinstance(value, ModuleType) and name in _HOME_OF:
+            value.__class__ = _Callable
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

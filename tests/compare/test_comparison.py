@@ -19,8 +19,8 @@ from napari_mufasa.compare import (
     to_photoelectrons,
 )
 from napari_mufasa.compare.distributions import Sample, autocorrelation, dwell_frames
-from napari_mufasa.io import write_json
-from napari_mufasa.trace_files import read_traces
+from napari_mufasa.files.traces import read_traces
+from napari_mufasa.files.whole import write_json
 from napari_mufasa.traces.select import dynamics
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"

@@ -10,7 +10,7 @@ import zarr
 import napari_mufasa as nm
 from napari_mufasa.denoise import pipeline, pure_let_movie, temporal
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.model import Camera
+from napari_mufasa.model.setup import Camera
 
 EMCCD = Camera(
     type="EMCCD", quantum_efficiency=0.9, read_noise_e=50, clock_induced_charge_e=0.002, electrons_per_adu=12,

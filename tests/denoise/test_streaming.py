@@ -13,7 +13,7 @@ import zarr
 from tests.denoise.test_pipeline import EMCCD, record
 
 import napari_mufasa as nm
-from napari_mufasa import io
+from napari_mufasa import files
 from napari_mufasa.cli import main
 
 
@@ -28,7 +28,7 @@ def test_the_command_line_measures_the_camera_on_dark_frames(tmp_path, capsys):
         main(["denoise", str(tmp_path / "movie.tif"), "--dark", str(tmp_path / "dark.tif"), "--out", str(out)])
     assert not left.value.code
     assert "camera measured: baseline 200" in capsys.readouterr().out
-    photons = io.load(out)
+    photons = files.load(out)
     np.testing.assert_allclose(photons, nm.denoise(movie, dark=dark), rtol=1e-5)
     # Photon transfer knows the gain to a few per cent.
     assert photons.mean() / truth.mean() == pytest.approx(1.0, abs=0.1)
@@ -49,7 +49,7 @@ def test_the_command_line_wants_one_source_of_the_camera(options, tmp_path, caps
 UNDER_A_LIMIT = """
     import resource, sys, numpy as np, zarr
     import napari_mufasa as nm
-    from napari_mufasa.model import Camera
+    from napari_mufasa.model.setup import Camera
 
     source, target, limit = sys.argv[1], sys.argv[2], int(sys.argv[3])
     camera = Camera(

@@ -9,8 +9,10 @@ import pytest
 import napari_mufasa as nm
 from napari_mufasa.discover import fit, nearing
 from napari_mufasa.discover.coordinates import Coordinate, moved
-from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, State, _with_noise_of
+from napari_mufasa.discover.library import CHECK_SEED, CHECK_SIMULATIONS, Library, _with_noise_of
 from napari_mufasa.discover.nuisance import nuisances
+from napari_mufasa.discover.read_off import read_off
+from napari_mufasa.discover.state import State
 from napari_mufasa.effects import effect_class
 
 P = 40
@@ -197,7 +199,7 @@ def test_an_effect_of_no_strength_is_none(library):
 def test_what_is_read_off_is_not_fitted(library):
     library.bench.measured = types.SimpleNamespace(course=np.r_[np.zeros(30), np.ones(70)])
     drift = effect_class("laser_drift")
-    assert drift.read_off(library.bench.measured)["step_at"] == pytest.approx(0.3, abs=0.01)
+    assert read_off(drift.kind, library.bench.measured)["step_at"] == pytest.approx(0.3, abs=0.01)
     library.bench.measured = None
 
 

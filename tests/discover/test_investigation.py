@@ -11,8 +11,8 @@ from napari_mufasa.discover import automatic, contest, reporting
 from napari_mufasa.discover.coordinates import Coordinate, moved
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.investigation import SECOND, SECOND_SHARE, Investigation
-from napari_mufasa.discover.library import SCALES, Lead, Ray
 from napari_mufasa.discover.nuisance import nuisances
+from napari_mufasa.discover.state import SCALES, Lead, Ray
 from napari_mufasa.effects import effect_class
 
 KINDS = ["laser_drift", "row_noise", "background_gradient"]

@@ -7,13 +7,14 @@ from scipy import optimize
 import napari_mufasa as nm
 from napari_mufasa.discover import metric, nuisance
 from napari_mufasa.discover.coordinates import changed, moved, room
-from napari_mufasa.discover.library import Ray, State, ray_settings, scaled, two_sided
+from napari_mufasa.discover.derivatives import free_steps
+from napari_mufasa.discover.library import ray_settings
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
-from napari_mufasa.discover.nearing import free_steps
 from napari_mufasa.discover.null import Null
+from napari_mufasa.discover.state import Ray, State, scaled, two_sided
 from napari_mufasa.effects import catalogue, effect_class
 from napari_mufasa.observe import PARTS
-from napari_mufasa.sample import scatter
+from napari_mufasa.simulate.layout import scatter
 
 
 def test_whitening_makes_correlated_noise_white():

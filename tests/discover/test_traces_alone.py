@@ -10,7 +10,7 @@ import napari_mufasa as nm
 from napari_mufasa.compare.simulated import FarApart
 from napari_mufasa.discover.traces_alone import candidate_kinds, diagnose_traces, views
 from napari_mufasa.effects import effect_from_data
-from napari_mufasa.io import write_json
+from napari_mufasa.files.whole import write_json
 from napari_mufasa.traces import Options, extract_traces
 
 

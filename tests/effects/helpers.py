@@ -3,9 +3,9 @@
 import numpy as np
 
 from napari_mufasa import preset
+from napari_mufasa.chance.streams import Streams
 from napari_mufasa.effects import catalogue
-from napari_mufasa.scene import build_scene
-from napari_mufasa.streams import Streams
+from napari_mufasa.simulate.scene import build_scene
 
 
 def plain(n_frames=40, frame_length_s=0.01, shape=(32, 40), **values):

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from napari_mufasa import simulate, simulate_dark
-from napari_mufasa.camera import photoelectrons
+from napari_mufasa.camera.detector import photoelectrons
 
 from .helpers import ccd, effect, plain
 

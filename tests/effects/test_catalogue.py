@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from napari_mufasa import Effect, Model, MufasaError, simulate, simulate_emission
 from napari_mufasa.effects import catalogue, effect_from_data
-from napari_mufasa.effects.base import STAGES, parameter
+from napari_mufasa.model.effect import STAGES, parameter
 
 from .helpers import effect, plain
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_emission
-from napari_mufasa.effects.courses import seen_course, seen_light, seen_step
-from napari_mufasa.effects.fields import seen_relief
+from napari_mufasa.discover.read_off import course_of, light_course, light_step, relief
 
 from .helpers import ccd, effect, plain, scene_of
 
@@ -88,7 +87,7 @@ def test_a_step_comes_when_said_and_is_read_off_a_noisy_background(step_at, rise
     assert np.count_nonzero((light > 1.03) & (light < 1.27)) == pytest.approx(rise, abs=1)  # 10 to 90 %
     # A step of 0.3 in noise of 0.03 per frame: the change point is off by more than 3 frames with chance < 1e-6.
     course = light + 0.03 * np.random.default_rng(0).standard_normal(200)
-    seen = seen_step(types.SimpleNamespace(course=course))
+    seen = light_step(types.SimpleNamespace(course=course))
     assert seen["step_at"] == pytest.approx(step_at, abs=3 / 199)
     assert seen["step_frames"] < 4 if rise == 0 else 4 <= seen["step_frames"] <= 16
 
@@ -238,9 +237,9 @@ def test_a_course_is_seen_where_readings_agree_and_only_there():
     """White noise: F(19, 285) > 5 happens less than once in 10⁸."""
     rng = np.random.default_rng(8)
     walk = np.cumsum(rng.standard_normal(20))
-    seen = np.array(seen_course(walk + rng.standard_normal((15, 20)))["course"])
+    seen = np.array(course_of(walk + rng.standard_normal((15, 20)))["course"])
     assert np.corrcoef(seen, walk)[0, 1] > 0.97 and seen[0] == 0 and np.abs(seen).max() == 1
-    assert seen_course(rng.standard_normal((15, 20)))["course"] == ()
+    assert course_of(rng.standard_normal((15, 20)))["course"] == ()
 
 
 def test_slow_light_has_a_course_and_flicker_has_none():
@@ -250,7 +249,7 @@ def test_slow_light_has_a_course_and_flicker_has_none():
     f[0] = f[1]
 
     def seen(light):
-        return len(seen_light(types.SimpleNamespace(course=10 + 0.01 * light))["course"]) == 60
+        return len(light_course(types.SimpleNamespace(course=10 + 0.01 * light))["course"]) == 60
 
     walks = [seen(np.cumsum(rng.standard_normal(300))) for _ in range(200)]
     pink = [seen(np.fft.irfft(np.fft.rfft(rng.standard_normal(300)) / np.sqrt(f), 300)) for _ in range(200)]
@@ -289,7 +288,7 @@ def test_a_relief_is_seen_where_tiles_agree_and_only_there():
     rng = np.random.default_rng(5)
 
     def seen(tiles):
-        return seen_relief(types.SimpleNamespace(background_map=tiles))
+        return relief(types.SimpleNamespace(background_map=tiles))
 
     v, u = (np.indices((12, 12)) - 5.5) / 6
     hill = 10 + 2 * np.exp(-((v - 0.3) ** 2 + u**2) / 0.4)

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
+from napari_mufasa.discover.read_off import read_off
 from napari_mufasa.effects.illumination import IlluminationProfile
 from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
 from napari_mufasa.observe.pixels import block_means
-from napari_mufasa.observe.spots import follow
 from napari_mufasa.observe.summary import OnStates, _gap_lengths, _slope
 from napari_mufasa.observe.table import Table
-from napari_mufasa.simulation import Acquisition
+from napari_mufasa.simulate.movie import SimulatedAcquisition
+from napari_mufasa.spots.follow import follow
 
 
 def small(n_frames=60, **values):
@@ -87,7 +88,7 @@ def test_the_axis_of_astigmatism_is_read_off(axis_deg):
     values = {"acquisition.shape_px": (96, 96), "sample.n_molecules": 30, "sample.min_distance_px": 8}
     model = small(**values)
     turned = Astigmatism(log_ratio=0.4, axis_deg=axis_deg)
-    seen = Astigmatism.read_off(observe(nm.simulate(model.with_effects(turned), seed=3).movie, model))["axis_deg"]
+    seen = read_off("astigmatism", observe(nm.simulate(model.with_effects(turned), seed=3).movie, model))["axis_deg"]
     assert abs((seen - axis_deg + 90) % 180 - 90) < 10
 
 
@@ -102,7 +103,7 @@ def test_the_axis_of_astigmatism_is_read_off(axis_deg):
 )
 def test_the_bright_side_is_read_off(added):
     model = small(**{"acquisition.shape_px": (96, 96)})
-    seen = added.read_off(observe(nm.simulate(model.with_effects(added), seed=4).movie, model))["direction_deg"]
+    seen = read_off(added.kind, observe(nm.simulate(model.with_effects(added), seed=4).movie, model))["direction_deg"]
     assert abs((seen - 200.0 + 180) % 360 - 180) < 15
 
 
@@ -116,13 +117,15 @@ def standing_apart(n_frames=120):
 def test_a_bumped_stage_tells_when_and_where_to(at, distance):
     model = standing_apart()
     bump = StageDrift(form="step", step_at=at, distance_px=distance, direction_deg=200.0)
-    seen = StageDrift.read_off(observe(nm.simulate(model.with_effects(bump), seed=3).movie, model))
+    seen = read_off("stage_drift", observe(nm.simulate(model.with_effects(bump), seed=3).movie, model))
     n = model.acquisition.n_frames
     # Within a block of n/10 frames the apertures stand still: to the frame it is told by where the light lies in them.
     assert seen["step_at"] * (n - 1) == pytest.approx(at * (n - 1), abs=1.0)
     assert seen["direction_deg"] == pytest.approx(200.0, abs=3)
     # What is read off puts the stage where it was.
-    again = Acquisition(model.with_effects(StageDrift(form="step", distance_px=distance, **seen))).scene.shift_px
+    again = SimulatedAcquisition(
+        model.with_effects(StageDrift(form="step", distance_px=distance, **seen))
+    ).scene.shift_px
     path, end = np.array(seen["path"]), np.array([np.sin(np.deg2rad(200)), np.cos(np.deg2rad(200))])
     assert np.flatnonzero(again.any(axis=1))[0] == pytest.approx(at * (n - 1), abs=1.5)
     np.testing.assert_allclose(again[-1], distance * end, atol=0.06 * distance)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from napari_mufasa.observe.pixels import COMB, block_means, pixel_statistics
+from napari_mufasa.observe.pixels import block_means, pixel_statistics
+from napari_mufasa.observe.table import COMB
 
 BASELINE = 100.0
 

@@ -5,7 +5,7 @@ import pytest
 
 from napari_mufasa import optics
 from napari_mufasa.observe.pixels import block_means
-from napari_mufasa.observe.spots import common_path, find_spots, follow
+from napari_mufasa.spots.follow import common_path, find_spots, follow
 
 SIGMA, SCALE, BASELINE = 1.3, 0.1, 200.0
 SHAPE = (64, 64)

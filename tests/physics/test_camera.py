@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from napari_mufasa import camera as cam
-from napari_mufasa.model import Camera
-from napari_mufasa.presets import PRESETS
-from napari_mufasa.streams import Streams
+from napari_mufasa.chance.streams import Streams
+from napari_mufasa.model.presets import PRESETS
+from napari_mufasa.model.setup import Camera
 
 SHAPE = (40, 64, 64)
 N = int(np.prod(SHAPE))

@@ -5,10 +5,10 @@ import pytest
 from scipy import linalg, stats
 
 from napari_mufasa import MufasaError, preset
+from napari_mufasa.chance.streams import Streams
 from napari_mufasa.photophysics.chain import Chain, Transition
 from napari_mufasa.photophysics.engines import Exposure, simulate_photons
 from napari_mufasa.photophysics.protocols import protocol_chain
-from napari_mufasa.streams import Streams
 
 # The source's whole state space and a further dark state, with rates slow enough to watch single jumps.
 FULL = Chain(

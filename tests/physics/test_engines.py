@@ -11,9 +11,9 @@ import pytest
 from scipy import stats
 
 from napari_mufasa import MufasaError, preset, simulate_emission
+from napari_mufasa.chance.streams import Streams
 from napari_mufasa.photophysics.chain import Chain, Transition
 from napari_mufasa.photophysics.engines import Exposure, simulate_photons
-from napari_mufasa.streams import Streams
 
 OVERALL = 1e-3  # false alarms of the whole comparison of the engines
 N = 6000

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from napari_mufasa.optics import image_on_grid, spot_images
+from napari_mufasa.optics.psf import image_on_grid, spot_images
 
 SIGMA = np.array([[1.308, 1.308]])  # 308 nm FWHM on 100 nm pixels
 

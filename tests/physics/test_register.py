@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from napari_mufasa.register import LAST_ROOT, electrons_after_gain, quantile_roots
+from napari_mufasa.camera.register import LAST_ROOT, electrons_after_gain, quantile_roots
 
 MEANS = (1e-3, 0.05, 0.3, 1.0, 4.3, 20.0, 35.9, 36.1, 150.0, 3000.0)
 BEYOND_TABLE = LAST_ROOT**2

@@ -5,8 +5,8 @@ import pytest
 from numba import njit
 from scipy import stats
 
-from napari_mufasa import variates
-from napari_mufasa.streams import Streams
+from napari_mufasa.chance import variates
+from napari_mufasa.chance.streams import Streams
 
 N = 100_000
 KEY = Streams(5).key("test")

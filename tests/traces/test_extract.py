@@ -12,8 +12,8 @@ from tests.blind import generator
 from tests.real_data import real_data
 
 import napari_mufasa as nm
+from napari_mufasa.camera.frames import with_dark_baseline
 from napari_mufasa.traces import Options, extract_traces
-from napari_mufasa.traces.frames import with_dark_baseline
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 

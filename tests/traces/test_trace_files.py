@@ -9,7 +9,7 @@ import pytest
 from tests.real_data import real_data
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.trace_files import read_trace_file, read_traces, write_trace_file
+from napari_mufasa.files.traces import read_trace_file, read_traces, write_trace_file
 
 
 @pytest.mark.parametrize("suffix", ["csv", "tif", "h5"])
@@ -29,7 +29,7 @@ def test_a_whole_extraction_in_one_hdf5_file(tmp_path):
     from tests.blind import generator
 
     import napari_mufasa as nm
-    from napari_mufasa.trace_files import write_traces
+    from napari_mufasa.files.traces import write_traces
 
     model = nm.Model.from_dict(generator.base_model("emccd")).with_values({"acquisition.n_frames": 40})
     places = np.array([[20.2, 30.1], [60.0, 60.4], [62.0, 60.4]])  # one alone, two too near to each other

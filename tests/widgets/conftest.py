@@ -33,7 +33,7 @@ def viewer(make_napari_viewer):
 @pytest.fixture(scope="session")
 def bright_model():
     """Bright, well separated molecules: detection is no question."""
-    from napari_mufasa.presets import preset
+    from napari_mufasa.model.presets import preset
 
     return preset("FF").with_values(
         {
@@ -49,7 +49,7 @@ def bright_model():
 
 @pytest.fixture(scope="session")
 def bright_movie(bright_model):
-    from napari_mufasa.simulation import simulate
+    from napari_mufasa.simulate.movie import simulate
 
     return simulate(bright_model, seed=3)
 
@@ -68,11 +68,13 @@ def run(qtbot):
 @pytest.fixture
 def with_movie(viewer, bright_model, bright_movie):
     """A viewer with the bright movie, chosen, and its model believed."""
-    from napari_mufasa.napari_io import movie_space
-    from napari_mufasa.widgets.layers import add_movie
-    from napari_mufasa.widgets.session import session_of
+    from napari_mufasa.files.layers import movie_space
+    from napari_mufasa.widgets.parts.layers import add_movie
+    from napari_mufasa.widgets.turns.session import session_of
 
-    layer = add_movie(viewer, bright_movie.movie, "bright", movie_space(bright_model), bright_model, 3)
+    layer = add_movie(
+        viewer, bright_movie.movie, "bright", movie_space(bright_model.acquisition.pixel_size_nm), bright_model, 3
+    )
     session = session_of(viewer)
     session.set_movie(layer)
     session.set_model(bright_model, "bright")

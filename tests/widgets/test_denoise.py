@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from napari_mufasa.widgets.denoise import DenoisePanel
-from napari_mufasa.widgets.session import session_of
+from napari_mufasa.widgets.steps.denoise import DenoisePanel
+from napari_mufasa.widgets.turns.session import session_of
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def test_denoise_preview_shows_the_frame_in_view_before_and_after(
     with_movie, open_panel, qtbot, bright_model, bright_movie
 ):
     from napari_mufasa.denoise.preview import Preview
-    from napari_mufasa.widgets.denoise_preview import SHOWN, TAKEN
+    from napari_mufasa.widgets.parts.denoise_preview import SHOWN, TAKEN
 
     panel = open_panel(DenoisePanel, with_movie)
     with_movie.dims.set_current_step(0, 10)
@@ -46,7 +46,7 @@ def test_denoise_preview_shows_the_frame_in_view_before_and_after(
 
 def test_denoise_camera_presets_and_residual(with_movie, open_panel, run, bright_movie, bright_model):
     from napari_mufasa import camera as cam
-    from napari_mufasa.widgets.denoise import CAMERAS
+    from napari_mufasa.widgets.steps.denoise import CAMERAS
 
     panel = open_panel(DenoisePanel, with_movie)
     panel.residual.setChecked(True)
@@ -64,7 +64,7 @@ def test_denoise_camera_presets_and_residual(with_movie, open_panel, run, bright
 
 
 def test_large_results_are_written_to_disk_and_read_when_looked_at(with_movie, open_panel, run, monkeypatch):
-    import napari_mufasa.widgets.denoise as module
+    import napari_mufasa.widgets.steps.denoise as module
 
     panel = open_panel(DenoisePanel, with_movie)
     run(panel)

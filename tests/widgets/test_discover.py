@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from qtpy.QtCore import Qt
 
-from napari_mufasa.model import Model
-from napari_mufasa.widgets.discover import DiscoverPanel
-from napari_mufasa.widgets.session import session_of
-from napari_mufasa.widgets.telling import headline, matching_curve
+from napari_mufasa.model.model import Model
+from napari_mufasa.report.telling import headline, matching_curve
+from napari_mufasa.widgets.steps.discover import DiscoverPanel
+from napari_mufasa.widgets.turns.session import session_of
 
 _spec = importlib.util.spec_from_file_location("report_example", Path(__file__).parents[1] / "report_example.py")
 example = importlib.util.module_from_spec(_spec)
@@ -105,14 +105,17 @@ def test_add_without_examination_says_what_to_do(panel):
 @pytest.mark.slow
 def test_drift_is_found_added_and_taken_out_again(viewer, qtbot):
     from napari_mufasa.effects import effect_from_data
-    from napari_mufasa.napari_io import movie_space, puzzle_model
-    from napari_mufasa.simulation import simulate
-    from napari_mufasa.widgets.layers import add_movie
+    from napari_mufasa.files.layers import movie_space
+    from napari_mufasa.samples import puzzle_model
+    from napari_mufasa.simulate.movie import simulate
+    from napari_mufasa.widgets.parts.layers import add_movie
 
     believed = puzzle_model().with_values({"acquisition.n_frames": 120, "acquisition.shape_px": (48, 48),
                                            "sample.n_molecules": 20})  # fmt: skip
     truth = believed.with_effects(effect_from_data({"kind": "stage_drift", "distance_px": 4.0}))
-    layer = add_movie(viewer, simulate(truth, seed=4).movie, "drifting", movie_space(believed), believed)
+    layer = add_movie(
+        viewer, simulate(truth, seed=4).movie, "drifting", movie_space(believed.acquisition.pixel_size_nm), believed
+    )
     session = session_of(viewer)
     session.set_movie(layer)
     session.set_model(believed, "test")

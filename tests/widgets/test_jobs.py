@@ -15,11 +15,11 @@ from napari.utils.notifications import notification_manager
 from qtpy.QtWidgets import QFrame
 
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.widgets.compare import ComparePanel
-from napari_mufasa.widgets.denoise import DenoisePanel
-from napari_mufasa.widgets.discover import DiscoverPanel
-from napari_mufasa.widgets.jobs import RunBar
-from napari_mufasa.widgets.molecules import MoleculesPanel
+from napari_mufasa.widgets.steps.compare import ComparePanel
+from napari_mufasa.widgets.steps.denoise import DenoisePanel
+from napari_mufasa.widgets.steps.discover import DiscoverPanel
+from napari_mufasa.widgets.steps.traces import MoleculesPanel
+from napari_mufasa.widgets.turns.jobs import RunBar
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def test_error_in_a_part_of_the_result_is_told_and_ends_the_run(bar, qtbot):
 
 
 def test_window_is_painted_again_after_a_layer_came(viewer, qtbot):
-    from napari_mufasa.widgets.turns import gently, room_for
+    from napari_mufasa.widgets.turns.gently import gently, room_for
 
     window = viewer.window._qt_window
     list(room_for(viewer, (9, 32, 48), (1, 0.1, 0.1)))
@@ -125,7 +125,7 @@ def test_controls_of_a_layer_come_in_a_later_turn(viewer, qtbot):
     """Until then an empty frame stands in, which napari may show, and take away with its layer."""
     from napari.layers import Points
 
-    from napari_mufasa.widgets.turns import gently
+    from napari_mufasa.widgets.turns.gently import gently
 
     controls = viewer.window._qt_viewer.controls
     with gently(viewer):
@@ -150,7 +150,7 @@ def test_controls_of_a_layer_come_in_a_later_turn(viewer, qtbot):
 
 def test_the_selection_of_layers_added_is_told_once_and_in_a_later_turn(viewer, qtbot):
     """Who follows it then knows what it would know without us: napari's list of layers, and its viewer."""
-    from napari_mufasa.widgets.turns import gently
+    from napari_mufasa.widgets.turns.gently import gently
 
     first = viewer.add_image(np.zeros((32, 48)), contrast_limits=(0, 1))
     told = []
@@ -172,7 +172,7 @@ def test_the_selection_of_layers_added_is_told_once_and_in_a_later_turn(viewer, 
 
 def test_viewer_may_close_before_the_controls_came(viewer):
     """What is still to be done holds nothing of it: make_napari_viewer fails a test that leaves a viewer behind."""
-    from napari_mufasa.widgets.turns import gently
+    from napari_mufasa.widgets.turns.gently import gently
 
     with gently(viewer):
         layer = viewer.add_image(np.zeros((32, 48)), contrast_limits=(0, 1))
@@ -188,7 +188,7 @@ def drawn(viewer, layer):
 def test_a_layer_hidden_while_it_is_shown_in_turns_stays_hidden(viewer, kind):
     from napari.layers import Image, Points
 
-    from napari_mufasa.widgets.turns import shown_later
+    from napari_mufasa.widgets.turns.gently import shown_later
 
     layer = Image(np.eye(9), visible=False) if kind == "image" else Points(np.eye(2), visible=False)
     viewer.add_layer(layer)
@@ -204,7 +204,7 @@ def test_a_layer_hidden_while_it_is_shown_in_turns_stays_hidden(viewer, kind):
 
 
 def test_points_draw_labels_once_they_have_any(viewer):
-    from napari_mufasa.widgets.turns import without_labels
+    from napari_mufasa.widgets.turns.gently import without_labels
 
     plain = viewer.add_points(np.eye(2), features={"name": ["one", "two"]})
     labelled = viewer.add_points(np.eye(2), text=["one", "two"])

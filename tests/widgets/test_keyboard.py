@@ -21,12 +21,14 @@ CONTROLS = (QAbstractButton, QLineEdit, QAbstractSpinBox, QComboBox, QAbstractIt
 
 @pytest.fixture
 def workflow(make_napari_viewer, qtbot, bright_model, bright_movie):
-    from napari_mufasa.napari_io import movie_space
-    from napari_mufasa.widgets.layers import add_movie
-    from napari_mufasa.widgets.session import session_of
+    from napari_mufasa.files.layers import movie_space
+    from napari_mufasa.widgets.parts.layers import add_movie
+    from napari_mufasa.widgets.turns.session import session_of
 
     viewer = make_napari_viewer(strict_qt="raise", show=True)
-    session_of(viewer).set_movie(add_movie(viewer, bright_movie.movie, "bright", movie_space(bright_model)))
+    session_of(viewer).set_movie(
+        add_movie(viewer, bright_movie.movie, "bright", movie_space(bright_model.acquisition.pixel_size_nm))
+    )
     made = WorkflowWidget(viewer)
     viewer.window.add_dock_widget(made)
     viewer.window.activate()

@@ -8,9 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from napari_mufasa.widgets.latest import Latest
-from napari_mufasa.widgets.quick_distance import quick_distance, thinned
-from napari_mufasa.widgets.session import session_of
+from napari_mufasa.compare.quick import quick_distance, thinned
+from napari_mufasa.widgets.turns.latest import Latest
+from napari_mufasa.widgets.turns.session import session_of
 
 
 @pytest.fixture
@@ -59,13 +59,17 @@ def test_error_of_the_work_arrives(latest, qtbot):
 
 
 def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot, run, bright_model, bright_movie):
-    from napari_mufasa.napari_io import movie_space
-    from napari_mufasa.widgets.layers import add_movie
+    from napari_mufasa.files.layers import movie_space
+    from napari_mufasa.widgets.parts.layers import add_movie
 
     viewer = make_napari_viewer(strict_qt="raise", show=True)
     _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
     session = session_of(viewer)
-    session.set_movie(add_movie(viewer, bright_movie.movie, "bright", movie_space(bright_model), bright_model))
+    session.set_movie(
+        add_movie(
+            viewer, bright_movie.movie, "bright", movie_space(bright_model.acquisition.pixel_size_nm), bright_model
+        )
+    )
     session.set_model(bright_model, "test")
     workflow.show_step(4)
     model = workflow.step("Model")

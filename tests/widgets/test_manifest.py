@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from npe2 import PluginManifest
 
-from napari_mufasa import io
-from napari_mufasa.model import Model
-from napari_mufasa.napari_io import get_reader, read_layers
+from napari_mufasa import files
+from napari_mufasa.files.layers import get_reader, read_layers
+from napari_mufasa.model.model import Model
 from napari_mufasa.traces import extract_traces
 
 WIDGETS = ("MUFASA workflow", "Simulate", "Denoise", "Extract traces", "Compare", "Discover")
@@ -30,7 +30,7 @@ def test_link_at_the_top_is_the_manifest_of_the_package():
     top = Path(__file__).parents[2] / "napari.yaml"
     assert top.is_symlink()
     assert not Path(top.readlink()).is_absolute()
-    assert top.resolve() == Path(io.__file__).parent / "napari.yaml"
+    assert top.resolve() == Path(files.__file__).parents[1] / "napari.yaml"
 
 
 def test_menus_are_ones_napari_shows(manifest):
@@ -49,7 +49,7 @@ def test_every_widget_opens(viewer, name):
 def test_reader_restores_the_model_and_stays_lazy(tmp_path, viewer, bright_model, bright_movie):
     for suffix in (".ome.tif", ".zarr"):
         path = tmp_path / f"movie{suffix}"
-        io.write_movie(path, [bright_movie.movie], bright_movie.movie.shape, np.uint16, model=bright_model, seed=3)
+        files.write_movie(path, [bright_movie.movie], bright_movie.movie.shape, np.uint16, model=bright_model, seed=3)
         (layer,) = viewer.open(str(path), plugin="napari-mufasa")
         stored = layer.metadata["napari_mufasa"]
         assert stored == {"model": bright_model.to_dict(), "seed": 3}
@@ -96,7 +96,7 @@ def test_samples_open_with_their_model(viewer, key):
 
 
 def test_samples_dark_frames_are_taken_and_never_the_movie(viewer):
-    from napari_mufasa.widgets.session import session_of
+    from napari_mufasa.widgets.turns.session import session_of
 
     # Through the manifest, because napari then hands out a proxy of the viewer.
     _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
@@ -126,8 +126,8 @@ def test_hidden_effect_sample_tells_the_belief_and_not_the_truth(viewer):
 def test_preferences_are_those_of_the_manifest_and_are_obeyed(viewer):
     from napari.settings import get_plugin_settings
 
-    from napari_mufasa.widgets.molecules import MoleculesPanel
-    from napari_mufasa.widgets.preferences import _defaults, preference
+    from napari_mufasa.widgets.parts.preferences import _defaults, preference
+    from napari_mufasa.widgets.steps.traces import MoleculesPanel
 
     names = [f"{group}.{name}" for group, settings in _defaults().items() for name in settings]
     assert len(names) >= 6

@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from napari_mufasa.widgets.compare import ComparePanel
-from napari_mufasa.widgets.denoise import DenoisePanel
-from napari_mufasa.widgets.model_panel import ModelPanel
-from napari_mufasa.widgets.molecules import MoleculesPanel
-from napari_mufasa.widgets.session import session_of
-from napari_mufasa.widgets.simulate import SimulatePanel
+from napari_mufasa.widgets.steps.compare import ComparePanel
+from napari_mufasa.widgets.steps.denoise import DenoisePanel
+from napari_mufasa.widgets.steps.model import ModelPanel
+from napari_mufasa.widgets.steps.simulate import SimulatePanel
+from napari_mufasa.widgets.steps.traces import MoleculesPanel
+from napari_mufasa.widgets.turns.session import session_of
 from napari_mufasa.widgets.workflow import STEPS, WorkflowWidget
 
 
@@ -31,7 +31,7 @@ def type_into(editor, text):
 
 
 def test_simulate_gives_the_movie_of_the_values_typed(viewer, open_panel, run, bright_model):
-    from napari_mufasa.simulation import simulate
+    from napari_mufasa.simulate.movie import simulate
 
     panel = open_panel(SimulatePanel, viewer)
     session_of(viewer).set_model(bright_model, "test")

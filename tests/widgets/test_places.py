@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from napari_mufasa.discover.places import find_places, place_of
 from napari_mufasa.effects import effect_from_data
 from napari_mufasa.errors import Cancelled
-from napari_mufasa.napari_io import puzzle_model
-from napari_mufasa.simulation import simulate, simulate_dark
-from napari_mufasa.widgets.places import find_places, place_of
+from napari_mufasa.samples import puzzle_model
+from napari_mufasa.simulate.movie import simulate, simulate_dark
 
 BELIEVED = puzzle_model().with_values(
     {"acquisition.n_frames": 100, "acquisition.shape_px": (48, 48), "sample.n_molecules": 16}

@@ -9,7 +9,7 @@ import pytest
 from qtpy.QtCore import QPoint, Qt
 from tests.real_data import real_data
 
-from napari_mufasa.widgets.session import session_of
+from napari_mufasa.widgets.turns.session import session_of
 from napari_mufasa.widgets.workflow import WorkflowWidget
 
 ROOT = Path(__file__).parents[2]
@@ -31,12 +31,14 @@ def click(viewer, qtbot, points, index):
 
 @pytest.mark.parametrize("mode", ["select", "pan_zoom"])
 def test_mouse_click_shows_the_trace(make_napari_viewer, qtbot, run, bright_model, bright_movie, mode):
-    from napari_mufasa.napari_io import movie_space
-    from napari_mufasa.widgets.layers import add_movie
-    from napari_mufasa.widgets.molecules import MoleculesPanel
+    from napari_mufasa.files.layers import movie_space
+    from napari_mufasa.widgets.parts.layers import add_movie
+    from napari_mufasa.widgets.steps.traces import MoleculesPanel
 
     viewer = make_napari_viewer(strict_qt="raise", show=True)
-    layer = add_movie(viewer, bright_movie.movie, "bright", movie_space(bright_model), bright_model)
+    layer = add_movie(
+        viewer, bright_movie.movie, "bright", movie_space(bright_model.acquisition.pixel_size_nm), bright_model
+    )
     session_of(viewer).set_movie(layer)
     session_of(viewer).set_model(bright_model, "test")
     panel = MoleculesPanel(viewer)

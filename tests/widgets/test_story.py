@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from qtpy.QtCore import Qt
 
-from napari_mufasa.model import Model
-from napari_mufasa.widgets.session import session_of
+from napari_mufasa.model.model import Model
+from napari_mufasa.widgets.turns.session import session_of
 from napari_mufasa.widgets.workflow import STEPS
 
 AT_FLOOR = 1.25  # held-out error over its floor; the base model's is more than twice the floor
@@ -18,7 +18,7 @@ AT_FLOOR = 1.25  # held-out error over its floor; the base model's is more than 
 
 @pytest.mark.slow
 def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_path):
-    from napari_mufasa.napari_io import hidden_effect
+    from napari_mufasa.samples import hidden_effect
 
     _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
     session = session_of(viewer)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
-    from napari_mufasa.model import Model
+    from napari_mufasa.model.model import Model
 
 MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr")
 

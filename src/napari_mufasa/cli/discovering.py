@@ -40,9 +40,9 @@ def diagnose(
     with_background: TraceBackground = None,
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
-    from napari_mufasa import discover, io
+    from napari_mufasa import discover, files
     from napari_mufasa.discover import traces_alone
-    from napari_mufasa.model import Model
+    from napari_mufasa.model.model import Model
 
     console.check_folder_out(out)
     believed = Model.from_json(model)
@@ -57,7 +57,7 @@ def diagnose(
     for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
         if given is not None:
             raise MufasaError(f"{name} belongs to a table of traces; add --traces if this is one")
-    recorded, background = io.load(movie), None if dark is None else io.load(dark)
+    recorded, background = files.load(movie), None if dark is None else files.load(dark)
     with console.working("diagnosing") as work:
         report = discover.diagnose(recorded, believed, background, seed=seed, **work.both())
     _finish(out, report, movie, recorded, background)
@@ -74,13 +74,13 @@ def refine(
     seed: Seed = 1,
 ) -> None:
     """Add the effects you name, fit them, and show how the error changes."""
-    from napari_mufasa import discover, io
-    from napari_mufasa.model import Model
+    from napari_mufasa import discover, files
+    from napari_mufasa.model.model import Model
 
     console.check_folder_out(out)
     believed = Model.from_json(model)
     effects = [_effect(believed, text) for text in add]
-    recorded, background = io.load(movie), None if dark is None else io.load(dark)
+    recorded, background = files.load(movie), None if dark is None else files.load(dark)
     with console.working("refining") as work:
         report = discover.refine(recorded, believed, effects, background, seed=seed, **work.both())
     _finish(out, report, movie, recorded, background)
@@ -93,7 +93,9 @@ def _effect(model: Any, text: str) -> Any:
 
 
 def _finish_traces(out: Path, found: TraceReport) -> None:
-    from napari_mufasa import figures, io, plotting
+    from napari_mufasa import files
+    from napari_mufasa.report import figures
+    from napari_mufasa.report import plots as plotting
 
     shown = list(found.distributions().values())
     drawings = [
@@ -101,7 +103,7 @@ def _finish_traces(out: Path, found: TraceReport) -> None:
         figures.Drawing("traces", "", (7.2, 5.4), lambda f: plotting.contact_sheet(f, found.traces["measured"])),
     ]
     with console.folder(out) as folder:
-        io.write_json(folder / "report.json", found.as_dict())
+        files.write_json(folder / "report.json", found.as_dict())
         found.model.to_json(folder / "model.json")
         write_figures(folder, drawings)
     error, w1 = found.error, found.w1
@@ -138,8 +140,9 @@ def _values(parameters: dict[str, Any]) -> str:
 
 
 def _finish(out: Path, report: Report, movie: Path, recorded: Any, background: Any) -> None:
-    from napari_mufasa import figures, html_report
-    from napari_mufasa.wording import summary
+    from napari_mufasa.report import figures
+    from napari_mufasa.report import html as html_report
+    from napari_mufasa.report.words import summary
 
     traces = figures.traces_to_show(recorded, report.base, background)
     n_frames, height, width = recorded.shape

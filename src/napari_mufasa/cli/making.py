@@ -12,8 +12,8 @@ from napari_mufasa.cli import console
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
-    from napari_mufasa.model import Model
-    from napari_mufasa.simulation import Acquisition
+    from napari_mufasa.model.model import Model
+    from napari_mufasa.simulate.movie import SimulatedAcquisition
 
 
 class EngineName(StrEnum):
@@ -48,9 +48,9 @@ def simulate(
     """Simulate a movie; the whole model and the seed travel in its metadata."""
     import numpy as np
 
-    from napari_mufasa import io
-    from napari_mufasa.sample import read_positions
-    from napari_mufasa.simulation import Acquisition
+    from napari_mufasa import files
+    from napari_mufasa.simulate.layout import read_positions
+    from napari_mufasa.simulate.movie import SimulatedAcquisition
 
     console.check_movie_out(out)
     if truth is not None:
@@ -74,11 +74,11 @@ def simulate(
         places = places[:n_molecules]
     if places is not None:  # the model in the metadata says what the movie holds
         chosen = chosen.with_values({"sample.n_molecules": len(places)})
-    acquisition = Acquisition(chosen, places, seed, engine.value)
+    acquisition = SimulatedAcquisition(chosen, places, seed, engine.value)
     movie_shape = (acquisition.n_frames, *chosen.acquisition.shape_px)
     with console.working("simulating") as work:
         blocks = (block.movie for _, block in acquisition.blocks(**work.both()))
-        io.write_movie(out, blocks, movie_shape, np.uint16, model=chosen, seed=seed)
+        files.write_movie(out, blocks, movie_shape, np.uint16, model=chosen, seed=seed)
     if truth is not None:
         _write_truth(truth, acquisition)
     n = len(acquisition.scene.positions_px)
@@ -86,27 +86,27 @@ def simulate(
 
 
 def _chosen_model(preset: str | None, path: Path | None) -> Model:
-    from napari_mufasa.model import Model
-    from napari_mufasa.presets import preset as find_preset
+    from napari_mufasa.model.model import Model
+    from napari_mufasa.model.presets import preset as find_preset
 
     if (preset is None) == (path is None):
         raise MufasaError("give either --preset NAME or --model MODEL.json ('presets' lists the names)")
     return find_preset(preset) if preset is not None else Model.from_json(path or "")
 
 
-def _write_truth(directory: Path, acquisition: Acquisition) -> None:
+def _write_truth(directory: Path, acquisition: SimulatedAcquisition) -> None:
     import numpy as np
     import pandas as pd
 
-    from napari_mufasa import io
+    from napari_mufasa import files
 
     molecule, frame = np.nonzero(acquisition.emission)
     photons = acquisition.emission[molecule, frame]
     emission = pd.DataFrame({"molecule": molecule, "frame": frame, "photons": photons})
     positions = pd.DataFrame(acquisition.scene.positions_px, columns=["y_px", "x_px"])
     with console.folder(directory) as folder:
-        io.write_table(folder / "emission.csv", emission)
-        io.write_table(folder / "positions.csv", positions.rename_axis("molecule").reset_index())
+        files.write_table(folder / "emission.csv", emission)
+        files.write_table(folder / "positions.csv", positions.rename_axis("molecule").reset_index())
 
 
 def presets(
@@ -118,7 +118,7 @@ def presets(
     """Print a preset as model.json, or list them, or list the effects."""
     import json
 
-    from napari_mufasa.presets import PRESETS, preset
+    from napari_mufasa.model.presets import PRESETS, preset
 
     if effects:
         _print_effects()
@@ -157,15 +157,15 @@ def design(
     out: Annotated[Path | None, typer.Option("--out", metavar="TABLE.csv", help="Write the table as CSV.")] = None,
 ) -> None:
     """Predict signal, noise, life time and detectability before taking the movie."""
-    from napari_mufasa import io
-    from napari_mufasa.design import sweep
-    from napari_mufasa.model import Model
+    from napari_mufasa import files
+    from napari_mufasa.design.predict import design as sweep
+    from napari_mufasa.model.model import Model
 
     if out is not None:
         console.check_file_out(out)
     table = sweep(Model.from_json(model), dict(_parse_vary(text) for text in vary or []))
     if out is not None:
-        io.write_table(out, table)
+        files.write_table(out, table)
     turned = table.astype(object).where(table.notna(), None).T
     head = ("quantity", *(f"case {i + 1}" for i in range(len(table)))) if len(table) > 1 else ("quantity", "value")
     console.print_table(head, [(name, *row) for name, row in zip(turned.index, turned.to_numpy(), strict=True)])
@@ -192,7 +192,7 @@ def demo(
     viewer: Annotated[bool, typer.Option("--viewer", help="Open the result in napari at the end.")] = False,
 ) -> None:
     """Hide an effect in a simulated movie, find it from the files alone, then open the envelope."""
-    from napari_mufasa.demo import open_viewer, run
+    from napari_mufasa.cli.demo import open_viewer, run
 
     console.check_folder_out(out)
     with console.working("demo") as work:

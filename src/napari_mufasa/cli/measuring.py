@@ -15,8 +15,8 @@ from napari_mufasa.cli.making import ModelFile, Seed
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
-    from napari_mufasa.calibrate import Value
-    from napari_mufasa.figures import Drawing
+    from napari_mufasa.calibrate.measure import Value
+    from napari_mufasa.report.figures import Drawing
 
 MovieFile = Annotated[Path, typer.Argument(metavar="MOVIE", help="TIFF, OME-TIFF or zarr, (frame, y, x).")]
 DarkFile = Annotated[Path | None, typer.Option("--dark", metavar="DARK", help="Frames without light.")]
@@ -87,10 +87,10 @@ def denoise(
     """Estimate the light: photons per pixel and frame, float32."""
     import numpy as np
 
-    from napari_mufasa import io
+    from napari_mufasa import files
     from napari_mufasa.denoise.pipeline import denoise as run
     from napari_mufasa.denoise.pipeline import measured_camera
-    from napari_mufasa.model import Model
+    from napari_mufasa.model.model import Model
 
     if (model is None) == (dark is None):
         raise MufasaError(
@@ -98,7 +98,7 @@ def denoise(
         )
     console.check_movie_out(out)
     believed = None if model is None else Model.from_json(model)
-    source = io.read_movie(movie)
+    source = files.read_movie(movie)
     n_frames, height, width = source.data.shape
     options: dict[str, Any] = {} if method is None else {"method": method}
     size_nm = None if believed is None else believed.acquisition.pixel_size_nm
@@ -108,10 +108,10 @@ def denoise(
             if believed is not None:
                 camera = believed.camera
             else:
-                camera = measured_camera(source.data, None if dark is None else io.load(dark), work.cancel)
+                camera = measured_camera(source.data, None if dark is None else files.load(dark), work.cancel)
             run(source.data, camera, out=result, **options, **work.both())
         blocks = (result[start : start + 64] for start in range(0, n_frames, 64))
-        io.write_movie(out, blocks, (n_frames, height, width), np.float32, pixel_size_nm=size_nm)
+        files.write_movie(out, blocks, (n_frames, height, width), np.float32, pixel_size_nm=size_nm)
     if believed is None:
         per_electron = (camera.em_gain or 1.0) / camera.electrons_per_adu
         typer.echo(
@@ -149,14 +149,17 @@ def traces(
     hdf5: Annotated[bool, typer.Option("--hdf5", help="Also write traces.h5, traces and table in one file.")] = False,
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
-    from napari_mufasa import figures, io, plotting, trace_files
-    from napari_mufasa.model import Model
+    from napari_mufasa import files
+    from napari_mufasa.files import traces as trace_files
+    from napari_mufasa.model.model import Model
+    from napari_mufasa.report import figures
+    from napari_mufasa.report import plots as plotting
     from napari_mufasa.traces import extract_traces
 
     console.check_folder_out(out)
     believed = Model.from_json(model)
-    source = io.read_movie(movie)
-    background = None if dark is None else io.load(dark)
+    source = files.read_movie(movie)
+    background = None if dark is None else files.load(dark)
     with console.working("traces") as work:
         found = extract_traces(
             source.data, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
@@ -203,8 +206,9 @@ def compare(
 ) -> None:
     """Measure the distance W1 between measurement and model, with baselines and floor."""
     from napari_mufasa import compare as comparing
-    from napari_mufasa import figures, io
-    from napari_mufasa.model import Model
+    from napari_mufasa import files
+    from napari_mufasa.model.model import Model
+    from napari_mufasa.report import figures
 
     if (movie is None) == (traces is None):
         raise MufasaError("give either a MOVIE or --traces FILE")
@@ -214,8 +218,8 @@ def compare(
     if movie is not None:
         if unit is not None:
             raise MufasaError("--unit belongs to --traces; a movie is in ADU")
-        recorded = io.load(movie)
-        background = None if dark is None else io.load(dark)
+        recorded = files.load(movie)
+        background = None if dark is None else files.load(dark)
         with console.working("comparing") as work:
             result = comparing.compare_movie(
                 recorded, believed, background, max_steps=max_steps, follow_drift=follow_drift,
@@ -231,7 +235,7 @@ def compare(
         with console.working("comparing") as work:
             result = comparing.compare_traces(**table, model=believed, **shared, **work.both())
     with console.folder(out) as folder:
-        io.write_json(folder / "report.json", result.report())
+        files.write_json(folder / "report.json", result.report())
         write_figures(folder, figures.comparison_drawings(result))
     rows = [(name, value) for name, value in result.w1.items() if name != "unit"]
     console.print_table(("W1", str(result.w1["unit"])), rows)
@@ -243,7 +247,7 @@ def trace_table(
     path: Path, unit: UnitName | None, profile: ProfileName | None, with_background: bool | None
 ) -> dict[str, Any]:
     """The traces of a file and what they hold, as keywords; a TIFF in ADU holds brightest pixels with background."""
-    from napari_mufasa import trace_files
+    from napari_mufasa.files import traces as trace_files
 
     values, found_unit = trace_files.read_traces(path)
     raw = found_unit == "adu" and path.suffix.lower() in (".tif", ".tiff")
@@ -270,12 +274,12 @@ def calibrate(
     quantum_efficiency: Annotated[float, typer.Option("--quantum-efficiency", min=0.01, max=1, metavar="QE")] = 0.9,
 ) -> None:
     """Measure the camera: baseline, read noise and gain, from a movie and its dark frames."""
-    from napari_mufasa import io
-    from napari_mufasa.calibrate import calibrate as measure
+    from napari_mufasa import files
+    from napari_mufasa.calibrate.measure import calibrate as measure
 
     console.check_file_out(out)
-    source = io.read_movie(movie)
-    background = None if dark is None else io.load(dark)
+    source = files.read_movie(movie)
+    background = None if dark is None else files.load(dark)
     with console.working("calibrating") as work:
         found = measure(
             source.data, background, camera_type=camera_type.value, em_gain=em_gain,
@@ -285,7 +289,7 @@ def calibrate(
     section = found.camera.model_dump(mode="json", exclude_none=True)
     if found.camera.type != "CMOS":
         section.pop("cmos_gain_curve")
-    io.write_json(out, section)
+    files.write_json(out, section)
     console.print_table(
         ("measured", "value ± sd"),
         [

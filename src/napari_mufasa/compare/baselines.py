@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics import rates
 from napari_mufasa.photophysics.chain import Chain
 from napari_mufasa.photophysics.engines import merge_bright_states

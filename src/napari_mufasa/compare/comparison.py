@@ -14,8 +14,8 @@ from napari_mufasa.compare.fit import Fit, background_level_e, fit_gain, fit_mod
 from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, extract_simulated
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.model import Model
-from napari_mufasa.simulation import Acquisition
+from napari_mufasa.model.model import Model
+from napari_mufasa.simulate.movie import SimulatedAcquisition
 from napari_mufasa.traces import Options, TraceSet, extract_traces
 from napari_mufasa.traces.select import dynamics, windows
 
@@ -116,7 +116,7 @@ def compare_movie(
         repeats = int(np.clip(ENOUGH_MOLECULES // max(len(everywhere), 1), 1, MOST_MOVIES))
 
         def simulate(candidate: Model, first_seed: int = seed) -> NDArray[np.float32]:
-            movies = (Acquisition(candidate, everywhere, first_seed + 1000 * i) for i in range(repeats))
+            movies = (SimulatedAcquisition(candidate, everywhere, first_seed + 1000 * i) for i in range(repeats))
             return np.concatenate([extract_simulated(a, options, cancel=cancel).traces for a in movies])
 
         fitted = fit_model(measured, model, simulate)

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.camera import multiplication_noise
+from napari_mufasa.camera.detector import multiplication_noise
 from napari_mufasa.effects import effect_from_data
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 from napari_mufasa.traces import TraceSet
 from napari_mufasa.traces.select import Dynamics, dynamics
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import camera as detector
+from napari_mufasa.chance.streams import Streams
 from napari_mufasa.compare.baselines import (
     largest_of_a_trace,
     poisson_emission,
@@ -18,11 +19,11 @@ from napari_mufasa.compare.baselines import (
     two_state_of,
 )
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.model import Model
-from napari_mufasa.simulation import Acquisition
-from napari_mufasa.streams import Streams
+from napari_mufasa.model.model import Model
+from napari_mufasa.optics.gaussian import pixel_shares
+from napari_mufasa.simulate.movie import SimulatedAcquisition
+from napari_mufasa.spots.aperture import aperture
 from napari_mufasa.traces import Options, TraceSet, extract_traces
-from napari_mufasa.traces.profile import aperture, pixel_shares
 
 Cancel = Callable[[], bool]
 SofiTimes = Literal["model", "tool"]
@@ -35,7 +36,7 @@ PLACES = 50  # places within a pixel at which weights are worked out; further mo
 class SimulatedMovie:
     """An acquisition that is recorded when a block of it is read: a movie (frame, y, x) that needs no memory."""
 
-    def __init__(self, acquisition: Acquisition) -> None:
+    def __init__(self, acquisition: SimulatedAcquisition) -> None:
         self.acquisition = acquisition
         self.shape = (acquisition.n_frames, *acquisition.scene.shape_px)
         self.dtype = np.dtype(np.uint16)
@@ -47,7 +48,7 @@ class SimulatedMovie:
 
 def acquisitions(
     model: Model, positions_px: NDArray[np.float64], seed: int, sofi_times: SofiTimes = "model"
-) -> dict[str, Acquisition]:
+) -> dict[str, SimulatedAcquisition]:
     """The acquisition by the model ("mufasa") and by the two baselines, of molecules at the same places.
 
     The baselines know nothing of the model's effects. SOFI's I_on is the largest photon number of a frame in a
@@ -56,10 +57,10 @@ def acquisitions(
     """
     if sofi_times not in ("model", "tool"):
         raise MufasaError(f"sofi_times {sofi_times!r} is unknown: choose 'model' or 'tool'")
-    mufasa = Acquisition(model, positions_px, seed)
+    mufasa = SimulatedAcquisition(model, positions_px, seed)
     plain = model.model_copy(update={"effects": ()})
-    poisson = Acquisition(plain, positions_px, seed + 1)
-    sofi = Acquisition(plain, positions_px, seed + 2)
+    poisson = SimulatedAcquisition(plain, positions_px, seed + 1)
+    sofi = SimulatedAcquisition(plain, positions_px, seed + 2)
     n = len(positions_px)
     poisson.record_instead(poisson_emission(model, n, Streams(seed + 1).of("poisson baseline")))
     timing = model.acquisition
@@ -71,7 +72,7 @@ def acquisitions(
     return {"mufasa": mufasa, "poisson": poisson, "sofi": sofi}
 
 
-def recorded(acquisition: Acquisition, cancel: Cancel | None = None) -> Any:
+def recorded(acquisition: SimulatedAcquisition, cancel: Cancel | None = None) -> Any:
     """The movie of an acquisition: in memory when it fits, else recorded on reading."""
     height, width = acquisition.scene.shape_px
     if 2 * acquisition.n_frames * height * width > IN_MEMORY_BYTES:
@@ -80,7 +81,7 @@ def recorded(acquisition: Acquisition, cancel: Cancel | None = None) -> Any:
 
 
 def extract_simulated(
-    acquisition: Acquisition, options: Options, positions_px: NDArray[np.float64] | None = None,
+    acquisition: SimulatedAcquisition, options: Options, positions_px: NDArray[np.float64] | None = None,
     cancel: Cancel | None = None,
 ) -> TraceSet:  # fmt: skip
     """Traces of an acquisition, detected like a measurement, or at known positions."""
@@ -140,11 +141,11 @@ class FarApart:
         self.shape_px = (rows * spacing, columns * spacing)
         self.positions_px = np.stack(np.divmod(index, columns), axis=1) * spacing + spacing // 2 + offset
 
-    def acquisition(self, model: Model, seed: int) -> Acquisition:
+    def acquisition(self, model: Model, seed: int) -> SimulatedAcquisition:
         """The model in this field."""
-        return Acquisition(self._here(model), self.positions_px, seed)
+        return SimulatedAcquisition(self._here(model), self.positions_px, seed)
 
-    def acquisitions(self, model: Model, seed: int, sofi_times: SofiTimes = "model") -> dict[str, Acquisition]:
+    def acquisitions(self, model: Model, seed: int, sofi_times: SofiTimes = "model") -> dict[str, SimulatedAcquisition]:
         """The model and the baselines in this field."""
         return acquisitions(self._here(model), self.positions_px, seed, sofi_times)
 
@@ -154,7 +155,7 @@ class FarApart:
         acquisition = model.acquisition.model_copy(update={"shape_px": self.shape_px})
         return model.model_copy(update={"camera": camera, "acquisition": acquisition})
 
-    def traces(self, acquisition: Acquisition, cancel: Cancel | None = None) -> NDArray[np.float32]:
+    def traces(self, acquisition: SimulatedAcquisition, cancel: Cancel | None = None) -> NDArray[np.float32]:
         """(molecule, frame) photoelectrons at the known positions."""
         if self.one_pixel:
             light = self._light(acquisition) * self.shares.astype(np.float32)[:, None]
@@ -173,7 +174,7 @@ class FarApart:
         noise = acquisition.scene.streams.of("noise of the weights").standard_normal(signal.shape)
         return np.asarray(signal + noise * np.sqrt(variance * weighing.squares[:, None]), dtype=np.float32)
 
-    def _light(self, acquisition: Acquisition) -> NDArray[np.float32]:
+    def _light(self, acquisition: SimulatedAcquisition) -> NDArray[np.float32]:
         """(molecule, frame) photons collected from each place."""
         scene, optics = acquisition.scene, acquisition.model.optics
         share = optics.collection_efficiency * optics.brightness_correction * scene.brightness
@@ -185,7 +186,7 @@ class FarApart:
         np.add.at(light, place, photons)  # several emitters may share a pixel
         return light
 
-    def _background(self, acquisition: Acquisition) -> NDArray[np.float32]:
+    def _background(self, acquisition: SimulatedAcquisition) -> NDArray[np.float32]:
         """(molecule, frame) background photons per pixel."""
         scene = acquisition.scene
         return np.asarray(scene.background_map()[0][:, None] * (scene.light * scene.background), dtype=np.float32)
@@ -225,7 +226,9 @@ def weigh(offset_px: NDArray[np.float64], sigma_px: float, options: Options) -> 
     return Weighing(*np.array(found)[each].T)
 
 
-def _detected(acquisition: Acquisition, light: NDArray[np.float32], read_noise: bool = True) -> NDArray[np.float32]:
+def _detected(
+    acquisition: SimulatedAcquisition, light: NDArray[np.float32], read_noise: bool = True
+) -> NDArray[np.float32]:
     """Photoelectrons (molecule, frame) that the camera makes of photons, one pixel per molecule."""
     scene, camera = acquisition.scene, acquisition.model.camera
     if not read_noise:

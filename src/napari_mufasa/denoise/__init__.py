@@ -1,12 +1,7 @@
-"""Denoising: the physics run backwards (SPEC.md §5).
-
-`napari_mufasa.denoise` is this package and also the function `pipeline.denoise`: the package can be called.
-"""
+"""Denoising: the physics run backwards (SPEC.md §5)."""
 
 from __future__ import annotations
 
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -31,12 +26,3 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-class _CallableModule(ModuleType):
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        return self.denoise(*args, **kwargs)
-
-
-# Importing any module below makes `napari_mufasa.denoise` the package; the public contract is a function.
-sys.modules[__name__].__class__ = _CallableModule

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import haar
 from .expansion import Bands
-from .noise import Noise
+from .noise import Noise, same_mean
 from .risk import RiskSystem
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ def cycle_spin(plane: Array, noise: Noise, levels: int) -> tuple[NDArray[np.floa
 
     Whole blocks are needed, so the image is continued by reflection; the continuation takes no part in the risk.
     """
-    from .purelet import same_mean
-
     flat = plane.shape[0] == 1
     depth = haar.levels_for(plane.shape[1:] if flat else plane.shape, levels)
     mean_noise = noise.mean(plane)

@@ -12,14 +12,12 @@ replaces the operator: a combination of F here, with ``step`` less and with ``st
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[Any]
+Array = NDArray[Any]
 
 #: Step of the difference that stands for the derivatives in the electron-multiplied case, in units of the gain.
 EM_STEP = 0.25
@@ -48,3 +46,10 @@ class Noise:
             return self.alpha, 1.0, 0.0, 0.0
         h = EM_STEP
         return 0.5 * self.alpha * h, (1.0 + h) / h**2, 1.0 - 2.0 / h**2, (1.0 - h) / h**2
+
+
+def same_mean(result: Array, data: Array) -> NDArray[np.float32]:
+    """Move the result to the mean of the data, which is the unbiased estimate of the mean of the truth."""
+    shift = float(data.mean(dtype=np.float64)) - float(result.mean(dtype=np.float64))
+    moved: NDArray[np.float32] = (result + np.float32(shift)).astype(np.float32, copy=False)
+    return moved

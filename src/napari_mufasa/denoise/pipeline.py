@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_mufasa.model import Camera
+    from napari_mufasa.model.setup import Camera
 
     Array = NDArray[Any]
 
@@ -53,7 +53,7 @@ def denoise(
         Peak memory: about 300 float32 frames but at least 350 MB, and the result unless ``out`` is on disk.
     camera : Camera, optional
         Gain, read noise, baseline, quantum efficiency and maps. Without one they are measured on the movie and
-        ``dark`` (`napari_mufasa.calibrate`, an EMCCD assumed): say what you know with a camera of your own.
+        ``dark`` (`napari_mufasa.calibrate.measure`, an EMCCD assumed): say what you know with a camera of your own.
     dark : array (frame, y, x), optional
         Dark frames, for the measurement of a camera that is not given.
     method : str
@@ -84,7 +84,7 @@ def denoise(
     """
     if method not in get_args(Method):
         raise MufasaError(f"method is {method!r}; choose one of {', '.join(get_args(Method))}")
-    from napari_mufasa.model import Camera
+    from napari_mufasa.model.setup import Camera
 
     if camera is None:
         camera = measured_camera(movie, dark, cancel)
@@ -118,7 +118,7 @@ def block_frames(shape: tuple[int, ...]) -> int:
 
 def measured_camera(movie: Any, dark: Any = None, cancel: Callable[[], bool] | None = None) -> Camera:
     """An EMCCD's baseline, read noise and gain, measured on the movie and its dark frames."""
-    from napari_mufasa.calibrate import calibrate
+    from napari_mufasa.calibrate.measure import calibrate
 
     try:
         return calibrate(movie, dark, camera_type="EMCCD", cancel=cancel).camera

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_mufasa.model import Camera
+    from napari_mufasa.model.setup import Camera
 
 #: Frames on either side that a preview looks at; the whole movie's run looks further.
 NEIGHBOURS = 6

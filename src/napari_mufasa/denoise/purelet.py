@@ -11,7 +11,7 @@ from napari_mufasa.errors import MufasaError
 
 from . import expansion, haar
 from .fused import DEEPEST
-from .noise import Noise
+from .noise import Noise, same_mean
 from .risk import RiskSystem, choose_weights
 
 if TYPE_CHECKING:
@@ -205,13 +205,6 @@ def windows(shape: tuple[int, ...], flat: bool) -> list[tuple[slice, slice]]:
     # A trace is never cut: its windows are groups of whole traces.
     columns = [slice(0, shape[1])] if flat else cuts(shape[1])
     return [(rows, cols) for rows in cuts(shape[0]) for cols in columns]
-
-
-def same_mean(result: Array, data: Array) -> NDArray[np.float32]:
-    """Move the result to the mean of the data, which is the unbiased estimate of the mean of the truth."""
-    shift = float(data.mean(dtype=np.float64)) - float(result.mean(dtype=np.float64))
-    moved: NDArray[np.float32] = (result + np.float32(shift)).astype(np.float32, copy=False)
-    return moved
 
 
 def checked(

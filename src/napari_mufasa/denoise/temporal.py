@@ -10,8 +10,8 @@ import numpy as np
 
 from . import expansion
 from .expansion import NO_GUIDES, Guides
-from .noise import Noise
-from .purelet import LEVELS, checked, depth_for, estimate, same_mean, windows
+from .noise import Noise, same_mean
+from .purelet import LEVELS, checked, depth_for, estimate, windows
 from .risk import RiskSystem, choose_weights
 from .still import past_and_future, shown
 

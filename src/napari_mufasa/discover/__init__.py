@@ -3,5 +3,6 @@
 from napari_mufasa.discover.automatic import diagnose, refine
 from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.result import Candidate, Curve, Report
+from napari_mufasa.discover.traces_alone import diagnose_traces
 
-__all__ = ["Candidate", "Curve", "Investigation", "Report", "diagnose", "refine"]
+__all__ = ["Candidate", "Curve", "Investigation", "Report", "diagnose", "diagnose_traces", "refine"]

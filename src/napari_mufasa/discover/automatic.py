@@ -8,7 +8,7 @@ from typing import Any
 from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.result import Candidate, Report
 from napari_mufasa.effects import Effect
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 
 
 def diagnose(

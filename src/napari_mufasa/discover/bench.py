@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.errors import Cancelled
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 from napari_mufasa.observe import DarkView, Observation, observe, view_dark
-from napari_mufasa.simulation import simulate, simulate_dark
+from napari_mufasa.simulate.movie import simulate, simulate_dark
 
 Array = NDArray[np.float64]
 WORKERS = max(1, min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1))

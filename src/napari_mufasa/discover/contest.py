@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from napari_mufasa.discover import fit
 from napari_mufasa.discover.coordinates import changed
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import Lead, Library, State
+from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.null import ALARM, Null
+from napari_mufasa.discover.state import Lead, State
 from napari_mufasa.effects import Effect
 
 Array = NDArray[np.float64]

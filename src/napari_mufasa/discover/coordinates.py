@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.effects import Effect
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
 

@@ -14,25 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover.coordinates import Coordinate, changed
+from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps, trusted
 from napari_mufasa.discover.library import (
     CHECK_SEED,
     CHECK_SIMULATIONS,
     Library,
-    Ray,
-    State,
-    scaled,
 )
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
-from napari_mufasa.discover.nearing import (
-    SLOPE_SEEDS,
-    derivatives,
-    free_steps,
-    rematched,
-    rematching_simulations,
-    trusted,
-)
+from napari_mufasa.discover.nearing import rematched, rematching_simulations
+from napari_mufasa.discover.read_off import read_off
+from napari_mufasa.discover.state import Ray, State, scaled
 from napari_mufasa.effects import Effect
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
 LADDER = 2.2  # factor between the strengths tried first
@@ -100,7 +93,7 @@ def refine_if_promising(
     One simulation of an effect that is chance itself (flicker) explains less than its law does: hence the lead's word.
     """
     starts = [starts] if isinstance(starts, Effect) else starts
-    seen = starts[0].read_off(library.bench.measured)
+    seen = read_off(starts[0].kind, library.bench.measured)
     starts = [changed(start, seen) for start in starts]
     climbed, gain = _climbed(library, state, _best_shape(library, state, starts, set(seen), x), x)
     if to_beat > 0 and max(gain, promised) < HOPELESS * to_beat:

@@ -8,26 +8,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.chance.streams import Streams
 from napari_mufasa.discover import fit, library, nearing
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.contest import FINALISTS, PROMISING, Contest
 from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import Lead, Library, Ray, State
+from napari_mufasa.discover.library import Library, View
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
+from napari_mufasa.discover.state import Lead, Ray, State
 from napari_mufasa.effects import Effect, catalogue, effect_class
 from napari_mufasa.errors import MufasaError, need
-from napari_mufasa.model import Model
-from napari_mufasa.streams import Streams
+from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
 SECOND = 0.01  # chance level that every further effect must pass …
@@ -35,14 +36,6 @@ SECOND_SHARE = 0.03  # … with at least this share of the evidence of those bef
 SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
 RIVAL = 0.4  # of the first effect's evidence: a rival that is looked at again beside the second one
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
-
-
-@dataclass(frozen=True)
-class View:
-    """Where an investigation stands, and the simulated neighbourhood from which it is seen."""
-
-    library: Library
-    state: State
 
 
 class Investigation:
@@ -160,7 +153,7 @@ class Investigation:
     def examine(self) -> None:
         """Fit the nuisance values, simulate the neighbourhood of the model and of every effect."""
         start = self.measurement.model
-        simulations = library.expected_simulations(self.kinds, len(nuisances(start)))
+        simulations = nearing.matching_simulations() + library.expected_simulations(self.kinds, len(nuisances(start)))
         self.bench.plan(simulations + FINALISTS * fit.planned_simulations())
         near = library.build(self.bench, nearing.matched(self.bench, start), self.kinds)
         self.views = [View(near, near.base)]
@@ -172,7 +165,11 @@ class Investigation:
             return
         kinds = [kind for kind in self.kinds if kind not in self.chosen]
         n_free = len(self.state.free)
-        self.bench.plan(nearing.descending_simulations(n_free) + library.expected_simulations(kinds, n_free))
+        self.bench.plan(
+            nearing.matching_simulations()
+            + nearing.descending_simulations(n_free)
+            + library.expected_simulations(kinds, n_free)
+        )
         model = nearing.rematched(self.library, self.state, self.model, self.x)
         model = nearing.descended(self.library, self.state, model, self.x)
         near = library.build(self.bench, model, kinds, self.chosen, self.state.values)

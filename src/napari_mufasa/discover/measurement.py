@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 
 FRAMES = 600  # a diagnosis looks at no more frames …
 VOXELS = 6_000_000  # … and pixels times frames than this

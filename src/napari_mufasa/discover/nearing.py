@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.bench import Bench, as_table
-from napari_mufasa.discover.coordinates import Coordinate
-from napari_mufasa.model import Model
-
-if TYPE_CHECKING:
-    from napari_mufasa.discover.library import Library, State
+from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
+from napari_mufasa.discover.library import Library
+from napari_mufasa.discover.state import State
+from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
 MATCHING_SEED = 10_000
 MATCHING_ROUNDS = 4
 TRIALS = 4  # simulations that tell which of two models is nearer
-SLOPE_SEEDS = 3
-PARAMETER_STEP = 0.2  # of effects in the model, in log units or quarters of the range
 DESCENTS, SHARES = 4, (1.0, 0.5, 0.25)  # steps downhill, and how much of each is tried
 NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
 
@@ -83,35 +78,14 @@ def _unmoved(state: State, x: Array) -> float:
     return replace(state, slopes=np.zeros_like(state.slopes)).misfit(x)
 
 
-def free_steps(model: Model, values: Sequence[nuisance.Nuisance], free: Sequence[str]) -> list[float]:
-    """The step of each free value for its derivative, within its range."""
-    effects = {effect.kind: effect for effect in model.effects}
-    steps = [n.inward(model, n.step if j % 2 else -n.step) for j, n in enumerate(values)]
-    for path in free[len(values) :]:
-        kind, name = path.rsplit(".", 1)
-        coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
-        steps.append(coordinate.inward(effects[kind], PARAMETER_STEP))
-    return steps
-
-
-def derivatives(bench: Bench, model_at: Callable[[Array], Model], steps: list[float], base: Array) -> Array:
-    """Derivatives of the observables (part, observable, free value), by differences of paired simulations."""
-    jobs = [(model_at(by), k) for by in np.diag(steps) for k in range(SLOPE_SEEDS)]
-    rows = bench.rows(jobs).reshape(len(steps), SLOPE_SEEDS, *base.shape[1:])
-    change = rows - base[:SLOPE_SEEDS]
-    mean, variance = change.mean(axis=1), change.var(axis=1, ddof=1) / SLOPE_SEEDS
-    return np.moveaxis(mean * trusted(mean, variance) / np.array(steps)[:, None, None], 0, -1)
-
-
-def trusted(derivative: Array, variance: Array) -> Array:
-    """The share of a derivative that stands out from its own error: the rest is noise, drawn towards zero."""
-    share: Array = np.clip(1 - 2 * variance / np.maximum(derivative**2, 1e-300), 0.0, 1.0)
-    return share
+def matching_simulations() -> int:
+    """How many simulations `matched` makes."""
+    return 2 * MATCHING_ROUNDS
 
 
 def rematching_simulations() -> int:
     """How many simulations `rematched` makes."""
-    return 2 * MATCHING_ROUNDS + 2 * TRIALS
+    return matching_simulations() + 2 * TRIALS
 
 
 def descending_simulations(n_free: int) -> int:

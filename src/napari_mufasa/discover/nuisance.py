@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 from napari_mufasa.observe import photoelectrons_per_adu
 
 REACH = 2.5  # how many widths of its prior a value may move

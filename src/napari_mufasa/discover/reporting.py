@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from napari_mufasa.discover import nuisance
+from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.curves import draw
-from napari_mufasa.discover.library import SCALES, State, scaled
-from napari_mufasa.discover.null import ALARM, MISFIT_ALARM
+from napari_mufasa.discover.library import Library, View
+from napari_mufasa.discover.measurement import Measurement
+from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
 from napari_mufasa.discover.result import ERROR_UNIT, Candidate, Report, Verdict
-from napari_mufasa.model import Model
-
-if TYPE_CHECKING:
-    from napari_mufasa.discover.investigation import Investigation
+from napari_mufasa.discover.state import SCALES, State, scaled
+from napari_mufasa.model.model import Model
 
 OFF = 3.0  # an observable further off than so many standard deviations is called failing
 EXPLAINED = 0.6  # share of the removable error that an explanation must remove
@@ -27,7 +27,37 @@ STILL_OFF = 0.001  # chance level of what an explanation leaves: of its misfit, 
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 
 
-def compile_report(inquiry: Investigation, verdict: Verdict | None = None) -> Report:
+class Standing(Protocol):
+    """What a report is made of: an `Investigation` as it stands."""
+
+    seed: int
+    believed: Model
+    measurement: Measurement
+    bench: Bench
+    views: list[View]
+    ranking: list[Candidate]
+
+    @property
+    def seconds(self) -> float: ...
+    @property
+    def x(self) -> NDArray[np.float64]: ...
+    @property
+    def first_view(self) -> View: ...
+    @property
+    def library(self) -> Library: ...
+    @property
+    def state(self) -> State: ...
+    @property
+    def model(self) -> Model: ...
+    @property
+    def chosen(self) -> list[str]: ...
+    @property
+    def null(self) -> Null: ...
+    def alarmed(self) -> bool: ...
+    def convincing(self, best: Candidate, /) -> bool: ...
+
+
+def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
     """Everything a report holds, from the investigation as it stands."""
     base, x, final, model = inquiry.first_view.state, inquiry.x, inquiry.state, inquiry.model
     states = [view.state for view in inquiry.views]
@@ -67,7 +97,7 @@ def _as_it_stands(candidate: Candidate, model: Model) -> Candidate:
     return candidate if effect is None else replace(candidate, parameters=effect.parameters())
 
 
-def judge(inquiry: Investigation, errors: list[float], floor: float) -> Verdict:
+def judge(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
     """adequate, missing_effect or unexplained (DISCOVERY.md, decision rules)."""
     if not inquiry.chosen:
         if not inquiry.alarmed():
@@ -91,7 +121,7 @@ def _one_is_off(state: State, x: NDArray[np.float64]) -> bool:
     return bool(off.max() > stats.norm.isf(STILL_OFF / (2 * off.size)))
 
 
-def detectable(inquiry: Investigation) -> dict[str, float | None]:
+def detectable(inquiry: Standing) -> dict[str, float | None]:
     """The smallest strength of each effect that this data would have shown with 80 % power, by the emulator."""
     state, null = inquiry.state, inquiry.null
     threshold = null.evidence.at(ALARM)
@@ -112,7 +142,7 @@ def detectable(inquiry: Investigation) -> dict[str, float | None]:
     return found
 
 
-def _table(inquiry: Investigation, final: State) -> pd.DataFrame:
+def _table(inquiry: Standing, final: State) -> pd.DataFrame:
     """One row per observable: measured, models, z-scores, free values at their best."""
     measured, base = inquiry.bench.measured, inquiry.first_view.state
     rows = []
@@ -154,7 +184,7 @@ def _restored(model: Model, believed: Model) -> Model:
     return model.model_copy(update={"acquisition": believed.acquisition, "sample": sample, "camera": camera})
 
 
-def _notes(inquiry: Investigation, verdict: Verdict, table: pd.DataFrame, completed: Model) -> list[str]:
+def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: Model) -> list[str]:
     notes = []
     if changes := nuisance.told(inquiry.believed, completed):
         notes.append(f"Values of the model fitted beside the effects: {changes}.")

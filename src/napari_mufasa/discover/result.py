@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pandas as pd
 
-    from napari_mufasa.model import Model
+    from napari_mufasa.model.model import Model
 
 Verdict = Literal["adequate", "missing_effect", "unexplained"]
 ERROR_UNIT = "rms whitened residual of the held-out observables (1 = noise of the measurement)"
@@ -118,6 +118,6 @@ class Report:
         }
 
     def to_json(self, path: str) -> None:
-        from napari_mufasa.io import write_json
+        from napari_mufasa.files.whole import write_json
 
         write_json(path, self.to_dict())

@@ -23,7 +23,7 @@ from napari_mufasa.compare.simulated import FarApart
 from napari_mufasa.compare.wasserstein import Pooled, floor, wasserstein
 from napari_mufasa.effects import catalogue, effect_class
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.model import Model
+from napari_mufasa.model.model import Model
 from napari_mufasa.traces import Options
 from napari_mufasa.traces.select import dynamics
 

@@ -1,6 +1,6 @@
-"""The catalogue of effects (SPEC.md §9): one module per stage, one class per effect."""
+"""The effects: one physical mechanism each, one module per stage. They change a scene; they know no observable."""
 
-from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.registry import catalogue, effect_class, effect_from_data
+from napari_mufasa.model.effect import Effect, parameter
+from napari_mufasa.model.registry import catalogue, effect_class, effect_from_data
 
 __all__ = ["Effect", "catalogue", "effect_class", "effect_from_data", "parameter"]

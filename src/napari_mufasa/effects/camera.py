@@ -6,18 +6,17 @@ sheet or a dark frame shows.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.camera import Stack
-from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.courses import drifted, seen_light, seen_path, seen_step, step_length, step_time
-from napari_mufasa.scene import Scene
-
-if TYPE_CHECKING:
-    from napari_mufasa.observe import Observation
+from napari_mufasa.camera.detector import Stack
+from napari_mufasa.effects.courses import drifted, seen_path, step_length, step_time
+from napari_mufasa.model.effect import Effect, parameter
+from napari_mufasa.model.setup import Setup
+from napari_mufasa.photophysics.rates import excitation_rate
+from napari_mufasa.simulate.scene import Scene
 
 STAGE = "camera"
 Frames = NDArray[np.int64]
@@ -25,7 +24,7 @@ Frames = NDArray[np.int64]
 
 def _gain(scene: Scene) -> float:
     """Output electrons per photoelectron near zero signal."""
-    camera = scene.model.camera
+    camera = scene.setup.camera
     if camera.type == "CMOS":
         (x0, y0), (x1, y1) = camera.cmos_gain_curve[:2]
         return (y1 - y0) / (x1 - x0)
@@ -33,7 +32,16 @@ def _gain(scene: Scene) -> float:
 
 
 def _adu(scene: Scene) -> float:
-    return scene.model.camera.electrons_per_adu
+    return scene.setup.camera.electrons_per_adu
+
+
+def peak_e(setup: Setup) -> float:
+    """Photoelectrons per frame of a bright molecule in the pixel it is centred on, roughly."""
+    dye, light, optics = setup.fluorophore, setup.excitation, setup.optics
+    rate = excitation_rate(dye.extinction_coefficient_per_M_cm, light.power_density_w_per_cm2, light.wavelength_nm)
+    collected = optics.collection_efficiency * optics.brightness_correction
+    exposure_s, efficiency = setup.acquisition.frame_length_s, setup.camera.quantum_efficiency
+    return rate * exposure_s * dye.quantum_yield * collected * efficiency / (2 * np.pi * setup.sigma_px**2)
 
 
 def fixed_pattern(form: str, shape_px: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -76,8 +84,8 @@ class EMExcessNoise(Effect):
     form: Literal["gamma", "low_gain"] = "gamma"
 
     @classmethod
-    def suits(cls, model: Any) -> bool:
-        return bool(model.camera.type == "EMCCD")
+    def suits(cls, setup: Setup) -> bool:
+        return setup.camera.type == "EMCCD"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         scene.sensor.excess_noise_factor = self.excess_noise_factor
@@ -276,10 +284,20 @@ class DetectorSaturation(Effect):
     separated_by = "the top bins of the photon-transfer curve"
 
     inverse_full_scale: float = parameter(
-        0.02, ge=0, plausible=(0.003, 0.2), follows="/peak_e", unit="1/e⁻", log=True,
+        0.02, ge=0, plausible=(0.003, 0.2), unit="1/e⁻", log=True,
         description="1 / (photoelectrons per pixel at which the response has bent by its form)",
     )  # fmt: skip
     form: Literal["soft", "hard", "rounded"] = "soft"
+
+    @classmethod
+    def plausible(cls, setup: Setup | None = None) -> dict[str, tuple[float, float, bool]]:
+        """The range is for a molecule of 10 photoelectrons in its brightest pixel, and follows that of the set-up."""
+        found = super().plausible(setup)
+        if setup is not None:
+            low, high, log = found[cls.strength]
+            factor = 1 / (max(peak_e(setup), 1.0) / 10.0)
+            found[cls.strength] = (low * factor, high * factor, log)
+        return found
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         if self.inverse_full_scale == 0:
@@ -370,10 +388,6 @@ class BaselineDrift(Effect):
     step_frames: float = step_length()
     course: tuple[float, ...] = seen_path()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
-
-    @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, Any]:
-        return seen_step(observation) | seen_light(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         drift_adu = drifted(self.drift_adu, self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.courses import drifted, seen_light, seen_path, seen_step, step_length, step_time
-from napari_mufasa.effects.fields import bright_side, relief, seen_bright_side, seen_relief, seen_values, value_columns
-from napari_mufasa.scene import Array, Scene
-
-if TYPE_CHECKING:
-    from napari_mufasa.observe import Observation
+from napari_mufasa.effects.courses import drifted, seen_path, step_length, step_time
+from napari_mufasa.effects.fields import bright_side, relief, seen_values, value_columns
+from napari_mufasa.model.effect import Effect, parameter
+from napari_mufasa.simulate.scene import Array, Scene
 
 STAGE = "illumination"
 
@@ -41,10 +38,6 @@ class IlluminationProfile(Effect):
     seen: tuple[float, ...] = seen_values()
     seen_columns: int = value_columns()
     form: Literal["gaussian", "off_centre", "linear", "as_seen"] = "gaussian"
-
-    @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, Any]:
-        return seen_bright_side(observation) | seen_relief(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
@@ -93,10 +86,6 @@ class LaserDrift(Effect):
     step_frames: float = step_length()
     course: tuple[float, ...] = seen_path()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
-
-    @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, Any]:
-        return seen_step(observation) | seen_light(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         change = drifted(self.change, self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)

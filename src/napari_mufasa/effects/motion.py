@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.courses import course, seen_course, seen_path, step_time
-from napari_mufasa.scene import Scene
-
-if TYPE_CHECKING:
-    from napari_mufasa.observe import Observation
+from napari_mufasa.effects.courses import course, seen_path, step_time
+from napari_mufasa.model.effect import Effect, parameter
+from napari_mufasa.simulate.scene import Scene
 
 STAGE = "sample motion"
-SEEN_PX = 0.3  # a common path that reaches farther is no noise
-VALUES, PRECISE_PX = 30, 0.03  # most values of a path as it was seen, and how precise each should be
-FIFTHS = 5
 
 
 class StageDrift(Effect):
@@ -45,27 +39,6 @@ class StageDrift(Effect):
     )
     step_at: float = step_time()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
-
-    @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, Any]:
-        """A path that stands out from its noise is the spots' common path. A step, if it was one, came when the motion
-        along the path's end differs most before and after; that difference gives the direction.
-        """
-        motion, blocks = observation.spots.common_motion(), observation.spots.path_px
-        along = motion @ blocks[-1]
-        # One frame before, one after at the least.
-        step = 1 + int(np.argmin(np.cumsum(along - along.mean())[:-1])) if len(along) > 1 else 0
-        y, x = motion[step:].mean(axis=0) - motion[: max(step, 1)].mean(axis=0)
-        direction = {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
-        if np.hypot(*blocks.T).max() <= SEEN_PX:
-            return direction | {"path": ()}
-        noise_px = max(float(np.diff(motion, axis=0).std()) / np.sqrt(2), 1e-6)
-        n = int(np.clip(len(motion) * (PRECISE_PX / noise_px) ** 2, len(blocks), VALUES))
-        seen = np.stack([part.mean(axis=0) for part in np.array_split(motion, min(n, len(motion)))])
-        seen -= seen[0]
-        extent = float(np.hypot(*seen.T).max())
-        path = tuple((float(b), float(a)) for b, a in (seen / extent).round(4))
-        return direction | {"path": path, "step_at": float((step - 0.5) / max(len(motion) - 1, 1))}
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
@@ -105,19 +78,6 @@ class FocusDrift(Effect):
     )
     course: tuple[float, ...] = seen_path()
     form: Literal["linear", "accelerating", "step", "wandering"] = "linear"
-
-    @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, Any]:
-        """The course is that of the spots' width, as fifths of the molecules show it."""
-        from napari_mufasa.observe.summary import mean_shape
-
-        spots = observation.spots
-        keep = np.flatnonzero(spots.inside & spots.isolated)
-        blocks = range(spots.shape.shape[1])
-        if len(keep) < 2 * FIFTHS:
-            return {"course": ()}
-        groups = [keep[i::FIFTHS] for i in range(FIFTHS)]
-        return seen_course(np.array([[mean_shape(spots, g, [b])[:2].mean() for b in blocks] for g in groups]))
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         path = course(self.form, scene.progress, rng, seen=self.course)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from napari_mufasa.effects.base import Effect, parameter
-from napari_mufasa.effects.courses import course, seen_light, seen_path
-from napari_mufasa.effects.fields import bright_side, relief, seen_bright_side, seen_relief, seen_values, value_columns
-from napari_mufasa.scene import Array, Scene
-
-if TYPE_CHECKING:
-    from napari_mufasa.observe import Observation
+from napari_mufasa.effects.courses import course, seen_path
+from napari_mufasa.effects.fields import bright_side, relief, seen_values, value_columns
+from napari_mufasa.model.effect import Effect, parameter
+from napari_mufasa.simulate.scene import Array, Scene
 
 STAGE = "optics and background"
 
@@ -34,15 +31,6 @@ class Astigmatism(Effect):
         description="ln(σ along the axis / σ across it); the product stays",
     )  # fmt: skip
     axis_deg: float = parameter(90.0, plausible=(0, 180), unit="deg", description="the axis; 0 along x, 90 along y")
-
-    @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, float]:
-        """The axis is that of the spots' mean second moments."""
-        from napari_mufasa.observe.summary import mean_shape
-
-        spots = observation.spots
-        along_y, along_x, oblique = mean_shape(spots, spots.inside & spots.isolated, range(spots.shape.shape[1]))
-        return {"axis_deg": float(np.rad2deg(0.5 * np.arctan2(2 * oblique, along_x - along_y)) % 180)}
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         towards_x = np.cos(2 * np.deg2rad(self.axis_deg))  # 1: the axis is x; −1: it is y
@@ -73,10 +61,6 @@ class BackgroundGradient(Effect):
     seen: tuple[float, ...] = seen_values()
     seen_columns: int = value_columns()
     form: Literal["linear", "hump", "as_seen"] = "linear"
-
-    @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, Any]:
-        return seen_bright_side(observation) | seen_relief(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
@@ -124,10 +108,6 @@ class BackgroundDecay(Effect):
     )  # fmt: skip
     course: tuple[float, ...] = seen_path(forms=("as_seen",))
     form: Literal["exponential", "linear", "as_seen"] = "exponential"
-
-    @classmethod
-    def read_off(cls, observation: Observation) -> dict[str, Any]:
-        return seen_light(observation)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         if self.form == "exponential":

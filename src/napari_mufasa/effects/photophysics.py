@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from napari_mufasa.effects.base import Effect, parameter
+from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.photophysics.chain import Chain, Transition
-from napari_mufasa.scene import Scene
+from napari_mufasa.simulate.scene import Scene
 
 STAGE = "photophysics"
 

@@ -15,12 +15,12 @@ from scipy import ndimage
 
 from napari_mufasa.observe import field, summary
 from napari_mufasa.observe.pixels import block_means, pixel_statistics
-from napari_mufasa.observe.spots import BLOCKS, Spots, find_spots, follow
 from napari_mufasa.observe.summary import Part
 from napari_mufasa.observe.table import Meaning, Table
+from napari_mufasa.spots.follow import BLOCKS, Spots, find_spots, follow
 
 if TYPE_CHECKING:
-    from napari_mufasa.model import Model
+    from napari_mufasa.model.model import Model
 
 PARTS = ("all", "white", "black")
 TILES = 6  # the field is a checkerboard of about TILES × TILES tiles: each half tests what the other was fitted to

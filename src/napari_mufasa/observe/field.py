@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from napari_mufasa.observe.pixels import COMB, PixelStatistics
-from napari_mufasa.observe.spots import Spots
+from napari_mufasa.observe.pixels import PixelStatistics
 from napari_mufasa.observe.summary import BINS, Part
-from napari_mufasa.observe.table import Table
+from napari_mufasa.observe.table import COMB, Table
+from napari_mufasa.spots.follow import Spots
 
 Array = NDArray[np.float64]
 TILE = 8  # px; the background's map is made of tiles of this side

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_mufasa.observe.pixels import COMB
-from napari_mufasa.variates import vectorised
+from napari_mufasa.chance.variates import vectorised
+from napari_mufasa.observe.table import COMB
 
 NONE_YET = -1e300
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-COMB = 8  # counts are also looked at modulo this, to see coarse or merged digits
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from napari_mufasa.observe.spots import Spots
 from napari_mufasa.observe.table import Table
+from napari_mufasa.spots.follow import Spots
 
 Array = NDArray[np.float64]
 LAGS = (1, 2, 3, 5, 10, 20, 50)

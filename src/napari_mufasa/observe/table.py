@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+COMB = 8  # counts are also looked at modulo this, to see coarse or merged digits
+
 
 @dataclass(frozen=True)
 class Meaning:

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.chance.streams import Streams
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.photophysics.chain import Chain, Transition
-from napari_mufasa.streams import Streams
 
 Engine = Literal["fast", "exact"]
 SEPARATION = 1e-2  # largest k01/k10, and lifetime per exposure, at which the bright state may be merged

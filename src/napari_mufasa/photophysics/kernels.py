@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from napari_mufasa.variates import exponential, poisson, stream, uniform
+from napari_mufasa.chance.variates import exponential, poisson, stream, uniform
 
 compiled: Any = njit(cache=True, nogil=True)
 

@@ -1,22 +1,18 @@
-"""Which states and rates each protocol has (SPEC.md §2): the model's chain."""
+"""Which states and rates each protocol has (SPEC.md §2): its chain."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from napari_mufasa.model.setup import Setup
 from napari_mufasa.photophysics import rates
 from napari_mufasa.photophysics.chain import Chain, Transition
 
-if TYPE_CHECKING:
-    from napari_mufasa.model import Model
 
-
-def protocol_chain(model: Model) -> Chain:
-    """The chain of the model's protocol; transitions that are ``null`` in the model are absent.
+def protocol_chain(setup: Setup) -> Chain:
+    """The chain of the set-up's protocol; transitions that are ``null`` in the set-up are absent.
 
     FF {S0,S1,B} from S0 · Blinking and STORM {S0,S1,T1,B} from T1 · PALM {NA,S0,S1,B} from NA.
     """
-    dye, light = model.fluorophore, model.excitation
+    dye, light = setup.fluorophore, setup.excitation
     k01 = rates.excitation_rate(dye.extinction_coefficient_per_M_cm, light.power_density_w_per_cm2, light.wavelength_nm)
     states = ["S0", "S1"]
     transitions = [
@@ -24,7 +20,7 @@ def protocol_chain(model: Model) -> Chain:
         Transition("S1", "S0", rates.relaxation_rate(dye.lifetime_s), photon_probability=dye.quantum_yield),
     ]
     start = "S0"
-    if model.protocol in ("Blinking", "STORM") and dye.isc_ratio:
+    if setup.protocol in ("Blinking", "STORM") and dye.isc_ratio:
         states.append("T1")
         transitions.append(Transition("S1", "T1", rates.intersystem_crossing_rate(dye.isc_ratio, dye.lifetime_s)))
         if dye.triplet_decay_rate_per_s:
@@ -33,7 +29,7 @@ def protocol_chain(model: Model) -> Chain:
     if dye.cycles_before_bleaching is not None:
         states.append("B")
         transitions.append(Transition("S1", "B", rates.bleaching_rate(dye.cycles_before_bleaching, dye.lifetime_s)))
-    if model.protocol == "PALM" and light.activation_rate_per_s is not None:
+    if setup.protocol == "PALM" and light.activation_rate_per_s is not None:
         states.insert(0, "NA")
         transitions.append(Transition("NA", "S0", light.activation_rate_per_s))
         start = "NA"

@@ -1,7 +1,7 @@
 """Single-molecule traces from a movie: `extract_traces` (SPEC.md §6)."""
 
+from napari_mufasa.camera.frames import with_dark_baseline
 from napari_mufasa.traces.extract import Options, TraceSet, extract_traces
-from napari_mufasa.traces.frames import with_dark_baseline
 from napari_mufasa.traces.steps import Steps, find_steps
 
 __all__ = ["Options", "Steps", "TraceSet", "extract_traces", "find_steps", "with_dark_baseline"]

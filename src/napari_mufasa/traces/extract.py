@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.camera.frames import Frames, Progress, Unit
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.sample import check_positions
-from napari_mufasa.traces import detect, drift, profile, select
-from napari_mufasa.traces.frames import Frames, Progress, Unit
-from napari_mufasa.traces.spots import LitImages, Spots
+from napari_mufasa.optics.gaussian import mean_peak_share
+from napari_mufasa.simulate.layout import check_positions
+from napari_mufasa.spots import aperture, drift, find
+from napari_mufasa.spots.shape import LitImages, Spots
+from napari_mufasa.traces import select
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from napari_mufasa.model import Camera
+    from napari_mufasa.model.setup import Camera
 
 
 MIN_SPOTS_FOR_DRIFT = 5
@@ -43,10 +45,10 @@ class Options(select.Choice):
     """
 
     psf_sigma_px: float | None = None
-    threshold: detect.Threshold = "sigma"
+    threshold: find.Threshold = "sigma"
     threshold_value: float | None = None
     time_block: int | None = None
-    profile: profile.Profile = "psf"
+    profile: aperture.Profile = "psf"
     subtract_background: bool = True
     position: str = "fit"
     follow_drift: bool = False
@@ -149,16 +151,16 @@ def extract_traces(
     frames = Frames(movie, camera, dark, unit)
     passes = (2 if positions_px is None else 1) + (1 if options.follow_drift else 0)
     report = _counter(progress, passes * frames.n_frames)
-    sigma = options.psf_sigma_px or (detect.estimate_sigma_px(frames) or 1.3)
+    sigma = options.psf_sigma_px or (find.estimate_sigma_px(frames) or 1.3)
     motion = drift.common_motion(frames, sigma, report, cancel) if options.follow_drift else None
 
     notes: list[str] = []
     if positions_px is None:
-        image, early, late = detect.significance(
+        image, early, late = find.significance(
             frames, sigma, block=options.time_block, drift_px=motion, report=report, cancel=cancel
         )
-        found, strength, _ = detect.candidates(image, sigma, method=options.threshold, value=options.threshold_value)
-        outstanding = detect.prominence(image, found, sigma)
+        found, strength, _ = find.candidates(image, sigma, method=options.threshold, value=options.threshold_value)
+        outstanding = find.prominence(image, found, sigma)
         moved = drift.moved_px(early, late) if motion is None and len(found) >= MIN_SPOTS_FOR_DRIFT else 0.0
         if moved > DRIFT_PX:
             notes.append(
@@ -210,7 +212,7 @@ def _measure(
     """The second pass: traces, local backgrounds, lit images, noise."""
     shape = frames.shape[1:]
     share = options.profile, options.subtract_background
-    opening = profile.aperture(positions, shape, sigma, share[0], subtract_background=share[1])
+    opening = aperture.aperture(positions, shape, sigma, share[0], subtract_background=share[1])
     lit_images = LitImages(opening.window.shape)
     traces = np.empty((len(positions), frames.n_frames), np.float32)
     background = np.empty_like(traces)
@@ -219,7 +221,7 @@ def _measure(
         for first, last in drift.still_parts(motion, start, start + len(stack)):
             if motion is not None:
                 moved = positions + motion[first:last].mean(axis=0)
-                opening = profile.aperture(moved, shape, sigma, share[0], subtract_background=share[1])
+                opening = aperture.aperture(moved, shape, sigma, share[0], subtract_background=share[1])
             span, part = slice(first, last), stack[first - start : last - start]
             traces[:, span], background[:, span] = opening.traces(part)
             lit_images.add(opening, part, traces[:, span], background[:, span])
@@ -318,11 +320,11 @@ def roi_mask(roi: Any, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
     return np.asarray(np.logical_or.reduce(masks), dtype=bool)
 
 
-def _share(kind: profile.Profile, sigma: float) -> float:
+def _share(kind: aperture.Profile, sigma: float) -> float:
     """Share of a molecule's light that a trace holds, averaged over places within a pixel."""
     if kind == "psf":
         return 1.0
-    return profile.mean_peak_share(sigma) if kind == "brightest_pixel" else float(1 - np.exp(-(2.5**2) / 2))
+    return mean_peak_share(sigma) if kind == "brightest_pixel" else float(1 - np.exp(-(2.5**2) / 2))
 
 
 def _options(options: Options | None, changes: dict[str, Any]) -> Options:

@@ -18,8 +18,8 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_mufasa.widgets.panel import shortcut
-from napari_mufasa.widgets.session import session_of, unwrapped
+from napari_mufasa.widgets.parts.panel import shortcut
+from napari_mufasa.widgets.turns.session import session_of, unwrapped
 
 if TYPE_CHECKING:
     from napari.viewer import Viewer
@@ -110,17 +110,17 @@ def panel_class(name: str) -> Any:
     from importlib import import_module
 
     homes = {
-        "Data": ("data_panel", "DataPanel"),
-        "Camera": ("data_panel", "CameraPanel"),
+        "Data": ("data", "DataPanel"),
+        "Camera": ("data", "CameraPanel"),
         "Simulate": ("simulate", "SimulatePanel"),
         "Denoise": ("denoise", "DenoisePanel"),
-        "Molecules": ("molecules", "MoleculesPanel"),
-        "Model": ("model_panel", "ModelPanel"),
+        "Molecules": ("traces", "MoleculesPanel"),
+        "Model": ("model", "ModelPanel"),
         "Compare": ("compare", "ComparePanel"),
         "Discover": ("discover", "DiscoverPanel"),
     }
     module, name = homes[name]
-    return getattr(import_module(f"napari_mufasa.widgets.{module}"), name)
+    return getattr(import_module(f"napari_mufasa.widgets.steps.{module}"), name)
 
 
 def scrolled(panel: QWidget) -> QScrollArea:

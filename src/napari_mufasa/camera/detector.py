@@ -1,0 +1,189 @@
+"""CCD, EMCCD and CMOS detectors: `expose` (photons → ADU) and its inverse, side by side (SPEC.md §4, §5).
+
+The steps are numbered in both directions. Imperfections hook in between the steps (`SensorHooks`); an ideal
+sensor has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.chance.streams import Streams
+from napari_mufasa.errors import MufasaError
+
+if TYPE_CHECKING:
+    from napari_mufasa.model.setup import Camera
+
+Stack = NDArray[np.float32]  # (frame, y, x)
+Hook = Callable[[Stack, NDArray[np.int64]], Stack]
+"""Takes a stack and the frame number of each of its frames; returns the changed stack.
+
+A hook on ``amplified`` may look at earlier frames: `SensorHooks.memory_frames` of them come along."""
+
+
+@dataclass
+class SensorHooks:
+    """What a real sensor does beyond the ideal camera, by the step it happens in."""
+
+    expected: list[Hook] = field(default_factory=list)  # expected photoelectrons, before shot noise
+    amplified: list[Hook] = field(default_factory=list)  # electrons after the gain, before read-out
+    output: list[Hook] = field(default_factory=list)  # electrons with read noise, before the ADC
+    excess_noise_factor: float | None = None  # F² of the multiplication; None: the camera's own (2 or 1)
+    nothing_lost: bool = False  # with F² < 2: every electron leaves the register with itself at least (low gain)
+    memory_frames: int = 0  # how many earlier frames the `amplified` hooks need
+
+
+IDEAL = SensorHooks()
+
+
+def check_counts(counts: NDArray[Any], camera: Camera) -> None:
+    """Raise `MufasaError` for counts that this camera cannot have recorded: below zero in spite of its baseline."""
+    if counts.dtype.kind != "u" and counts.size and camera.baseline_adu >= 1 and counts.min() < 0:
+        raise MufasaError(
+            f"movie has counts down to {counts.min():.6g}, the camera's baseline is {camera.baseline_adu:.6g} ADU: "
+            "give the raw counts, or set baseline_adu to 0 if it was subtracted"
+        )
+
+
+def expose(
+    photons: Stack, camera: Camera, streams: Streams, frames: NDArray[np.int64], hooks: SensorHooks = IDEAL
+) -> NDArray[np.uint16]:
+    """Record photons: (frame, y, x) expected photons per pixel → (frame, y, x) ADU, uint16.
+
+    `frames` numbers the frames given; every pixel of every frame draws from its own stream, so any block of a
+    movie can be recorded alone. The first `hooks.memory_frames` frames only feed the sensor's memory: frames before the
+    block must be given first where the movie has them, and are returned as recorded too.
+    """
+    # 1 detection: n_ie ~ Poisson(QE x̃ + c)
+    expected = camera.quantum_efficiency * photons
+    expected += np.float32(camera.clock_induced_charge_e)
+    for hook in hooks.expected:
+        expected = hook(expected, frames)
+    # 2 multiplication or conversion
+    excess = multiplication_noise(camera) if hooks.excess_noise_factor is None else hooks.excess_noise_factor
+    from napari_mufasa.camera.kernels import detect, digitise, read_out
+    from napari_mufasa.camera.register import quantile_roots
+
+    numbers = np.ascontiguousarray(frames, dtype=np.int64)
+    shape, kept = _multiplication_law(excess, hooks.nothing_lost)
+    ideal = (shape, kept) == (1.0, 0.0)  # what `detect` asks, too: it reads the table then
+    table = quantile_roots() if ideal else np.empty((0, 0), np.float32)
+    expected = np.ascontiguousarray(expected, np.float32)
+    electrons = detect(expected, shape, kept, numbers, streams.key("detection"), table)
+    if camera.type == "CMOS":
+        electrons = cmos_response(electrons, camera)
+    else:
+        electrons *= np.float32(_gain(camera))
+    # 3 what happens to the charge on its way out
+    for hook in hooks.amplified:
+        electrons = hook(electrons, frames)
+    # 4 read noise N(μ, σ²)
+    noise = np.asarray(read_noise_map_e(camera), np.float32)
+    sigma = np.ascontiguousarray(np.broadcast_to(noise, electrons.shape[1:]))
+    electrons = np.ascontiguousarray(electrons, dtype=np.float32)
+    read_out(electrons, sigma, camera.read_noise_mean_e, numbers, streams.key("read noise"))
+    for hook in hooks.output:
+        electrons = hook(electrons, frames)
+    # 5 digitisation: min(⌊n_oe/e_per_ADU⌋ + BL, ADC_max), never below 0. A baseline between two counts is
+    # added before the floor, or the ½ of the inverse would not undo it.
+    baseline = np.ascontiguousarray(np.broadcast_to(baseline_map_adu(camera), electrons.shape[1:]))
+    electrons = np.ascontiguousarray(electrons, dtype=np.float32)
+    digital: NDArray[np.uint16] = digitise(electrons, np.float32(camera.electrons_per_adu), baseline, camera.adc_max)
+    return digital
+
+
+def output_electrons(movie: NDArray[Any], camera: Camera) -> Stack:
+    """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (SPEC.md §5.1). Negative values are kept on purpose."""
+    _check_maps(movie, camera)
+    half = np.float32(0.5) - baseline_map_adu(camera)
+    mean_e = np.float32(camera.read_noise_mean_e)
+    electrons = (np.asarray(movie, dtype=np.float32) + half) * np.float32(camera.electrons_per_adu) - mean_e
+    return np.asarray(electrons, dtype=np.float32)
+
+
+def photoelectrons(movie: NDArray[Any], camera: Camera) -> Stack:
+    """Undo steps 5 and 2: ADU → photoelectrons (n_ie with noise), float32."""
+    electrons = output_electrons(movie, camera)
+    if camera.type == "EMCCD":
+        return electrons / np.float32(_gain(camera))
+    if camera.type == "CMOS":
+        return cmos_response_inverse(electrons, camera)
+    return electrons if camera.gain_map is None else electrons / camera.gain_map.astype(np.float32)
+
+
+def photons(electrons: NDArray[np.floating], camera: Camera) -> Stack:
+    """Undo step 1: photoelectrons → photons, (n − c)/QE."""
+    return np.asarray((electrons - camera.clock_induced_charge_e) / camera.quantum_efficiency, np.float32)
+
+
+def multiplication_noise(camera: Camera) -> float:
+    """α of the photoelectron signal: variance/mean after division by the gain; 2 for an EMCCD, else 1."""
+    return 2.0 if camera.type == "EMCCD" else 1.0
+
+
+def _multiplication_law(excess: float, nothing_lost: bool) -> tuple[float, float]:
+    """Shape of the Gamma law and share that is kept as it came, for an excess noise factor F² (see `detect`)."""
+    if nothing_lost and 1.0 < excess < 2.0:
+        return 1.0, 1.0 - float(np.sqrt(excess - 1.0))
+    return (1.0 / (excess - 1.0) if excess > 1.0 else 0.0), 0.0
+
+
+def read_noise_map_e(camera: Camera) -> Any:
+    """Read noise in output electrons rms: a scalar, or the (y, x) map of the camera."""
+    if camera.variance_map_e2 is not None:
+        return np.sqrt(camera.variance_map_e2).astype(np.float32)
+    return np.float32(camera.read_noise_e)
+
+
+def baseline_map_adu(camera: Camera) -> Any:
+    """Baseline in ADU: a scalar, or a (y, x) map."""
+    if camera.offset_map_adu is not None:
+        return (camera.baseline_adu + camera.offset_map_adu).astype(np.float32)
+    return np.float32(camera.baseline_adu)
+
+
+def cmos_response(electrons: NDArray[np.floating], camera: Camera) -> Stack:
+    """g_p: photoelectrons → output electrons, piecewise linear, continued with its last slope."""
+    return np.asarray(_interpolate(electrons, *_knots(camera)) * _gain_map(camera), dtype=np.float32)
+
+
+def cmos_response_inverse(electrons: NDArray[np.floating], camera: Camera) -> Stack:
+    """g_p⁻¹: output electrons → photoelectrons, per pixel; negative values follow the first slope."""
+    into, out = _knots(camera)
+    return _interpolate(electrons / _gain_map(camera), out, into).astype(np.float32)
+
+
+def _knots(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    knots = np.asarray(camera.cmos_gain_curve, dtype=float)
+    return knots[:, 0], knots[:, 1]
+
+
+def _interpolate(values: NDArray[np.floating], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    inner = np.interp(values, x, y)
+    below = y[0] + (values - x[0]) * (y[1] - y[0]) / (x[1] - x[0])
+    above = y[-1] + (values - x[-1]) * (y[-1] - y[-2]) / (x[-1] - x[-2])
+    result: NDArray[np.float64] = np.where(values < x[0], below, np.where(values > x[-1], above, inner))
+    return result
+
+
+def _gain_map(camera: Camera) -> Any:
+    return np.float32(1.0) if camera.gain_map is None else camera.gain_map.astype(np.float32)
+
+
+def _gain(camera: Camera) -> Any:
+    return float(camera.em_gain or 1.0) * _gain_map(camera)
+
+
+def _check_maps(movie: NDArray[Any], camera: Camera) -> None:
+    for name in ("offset_map_adu", "gain_map"):
+        value = getattr(camera, name)
+        if value is not None and tuple(movie.shape[-2:]) != value.shape:
+            raise MufasaError(
+                f"movie frames are {tuple(movie.shape[-2:])}, camera.{name} is {value.shape}: "
+                "crop the map to the movie's region"
+            )

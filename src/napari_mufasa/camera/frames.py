@@ -1,0 +1,103 @@
+"""A movie as blocks of photoelectron frames, whatever it is stored in and whatever unit it has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa import camera as detector
+from napari_mufasa.errors import Cancelled, MufasaError, need
+
+if TYPE_CHECKING:
+    from napari_mufasa.model.setup import Camera
+
+Unit = Literal["adu", "photoelectrons", "photons"]
+Progress = Callable[[int, int], None]
+Stack = NDArray[np.float32]
+BLOCK_BYTES = 16 * 2**20  # float32 pixels held at once
+
+
+class Frames:
+    """Photoelectrons of a movie (frame, y, x), read block by block; at most one block is in memory.
+
+    Parameters
+    ----------
+    movie : array-like (frame, y, x): NumPy, dask, zarr, or anything that slices by frame
+    camera : the detector, to get from ADU to photoelectrons
+    dark : dark frames (frame, y, x) or (y, x) in the movie's unit; they replace the camera's baseline
+    unit : what the movie's numbers are
+    """
+
+    def __init__(self, movie: Any, camera: Camera, dark: Any = None, unit: Unit = "adu") -> None:
+        movie = getattr(movie, "data", movie) if not hasattr(movie, "shape") else movie
+        if not hasattr(movie, "shape"):
+            movie = np.asarray(movie)
+        from napari_mufasa.model.setup import Camera
+
+        if len(movie.shape) != 3 or 0 in movie.shape:
+            raise MufasaError(f"movie has shape {tuple(movie.shape)}: needs a non-empty stack (frame, y, x)")
+        if np.dtype(movie.dtype).kind not in "uif":
+            raise MufasaError(f"movie holds {movie.dtype}: needs real numbers")
+        if unit not in ("adu", "photoelectrons", "photons"):
+            raise MufasaError(f"unit {unit!r} is unknown: choose 'adu', 'photoelectrons' or 'photons'")
+        self.movie = movie
+        need(camera, Camera, "camera", "give model.camera")
+        self.unit = unit
+        self.shape: tuple[int, int, int] = (int(movie.shape[0]), int(movie.shape[1]), int(movie.shape[2]))
+        self.camera = camera if dark is None else with_dark_baseline(camera, dark, self.shape[1:], unit)
+
+    @property
+    def n_frames(self) -> int:
+        return self.shape[0]
+
+    def block_frames(self) -> int:
+        return max(1, min(self.n_frames, BLOCK_BYTES // (4 * self.shape[1] * self.shape[2])))
+
+    def blocks(
+        self, multiple: int = 1, report: Callable[[int], None] | None = None, cancel: Callable[[], bool] | None = None
+    ) -> Iterator[tuple[int, Stack]]:
+        """(first frame, photoelectrons) in order; every block but the last has a multiple of `multiple` frames."""
+        size = max(multiple, self.block_frames() // multiple * multiple)
+        for start in range(0, self.n_frames, size):
+            if cancel is not None and cancel():
+                raise Cancelled
+            raw = np.asarray(self.movie[start : start + size])
+            yield start, self.photoelectrons(raw)
+            if report is not None:
+                report(len(raw))
+
+    def photoelectrons(self, raw: NDArray[Any]) -> Stack:
+        if raw.dtype.kind == "f" and not np.isfinite(raw).all():
+            raise MufasaError("movie has values that are not finite: mask or crop those frames first")
+        if self.unit == "adu":
+            detector.check_counts(raw, self.camera)
+            return detector.photoelectrons(raw, self.camera)
+        if self.unit == "photons":
+            return np.asarray(raw, np.float32) * np.float32(self.camera.quantum_efficiency)
+        return np.asarray(raw, np.float32)
+
+
+def with_dark_baseline(camera: Camera, dark: Any, shape_px: tuple[int, ...], unit: Unit = "adu") -> Camera:
+    """The camera with the baseline that the dark frames show (clock-induced charge stays signal).
+
+    The recorded dark mean is BL − ½ (the ADC rounds down) + what clock-induced charge adds.
+    """
+    dark = np.asarray(getattr(dark, "data", dark) if not hasattr(dark, "shape") else dark)
+    if dark.ndim not in (2, 3) or dark.size == 0 or dark.shape[-2:] != tuple(shape_px):
+        raise MufasaError(
+            f"dark has shape {dark.shape}, the movie's frames are {tuple(shape_px)}: "
+            "give dark frames of the same region (frame, y, x)"
+        )
+    if dark.dtype.kind not in "uif" or not np.isfinite(dark).all() or dark.mean(dtype=np.float64) < -0.5:
+        raise MufasaError("dark frames hold values that are negative or no numbers: give the raw counts (ADU)")
+    if unit != "adu":
+        raise MufasaError("dark frames correct the baseline of a movie in ADU; this one is already in " + unit)
+    gain = float(camera.em_gain or 1.0)
+    charge_adu = (camera.clock_induced_charge_e * gain + camera.read_noise_mean_e) / camera.electrons_per_adu
+    baseline = float(dark.mean(dtype=np.float64)) + 0.5 - charge_adu
+    if camera.offset_map_adu is not None:
+        baseline -= float(camera.offset_map_adu.mean())
+    return camera.model_copy(update={"baseline_adu": max(baseline, 0.0)})

@@ -1,0 +1,95 @@
+"""The camera's loops: shot noise with multiplication, and read noise, per pixel.
+
+Import this module only where a camera records: it needs numba. Functions of a module are compiled once for a machine;
+a function that is made inside another one and calls compiled functions would be compiled anew in every process.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from napari_mufasa.camera.register import electrons_after_gain
+from napari_mufasa.chance.variates import (
+    gamma,
+    jit,
+    normal_quantile,
+    poisson,
+    poisson_row,
+    stream,
+    tails,
+    uniforms,
+    vectorised,
+)
+
+
+@jit
+def detect(expected, shape, kept, frames, key, table):  # type: ignore[no-untyped-def]
+    """Photoelectrons times their multiplication noise of mean 1: n electrons become kept·n + (1 − kept)·Gamma(shape·n,
+    scale 1/shape), without noise where shape is 0; no electron in, none out. F² = 1 + (1 − kept)²/shape. `table` is
+    used for the ideal register alone (shape 1, kept 0)."""
+    n_frames, height, width = expected.shape
+    result = np.empty(expected.shape, dtype=np.float32)
+    bits, light, tail = np.empty(width, np.uint64), np.empty(width, np.float32), np.empty(width, np.float32)
+    cell, scratch = np.empty(width, np.int32), np.empty((3, width), np.float32)
+    u, mean, none, below, counts = np.empty(width), np.empty(width), np.empty(width), np.empty(width), np.empty(width)
+    for f in range(n_frames):
+        for y in range(height):
+            if shape == 1.0 and kept == 0.0:
+                tails(key, frames[f], y * width, bits, tail)
+                for x in range(width):
+                    light[x] = max(expected[f, y, x], np.float32(0.0))
+                electrons_after_gain(light, tail, table, cell, scratch, result[f, y])
+                continue
+            uniforms(key, frames[f], y * width, 1, u)
+            # The row at once up to twice its mean, the few brighter pixels one by one.
+            total = 0.0
+            for x in range(width):
+                total += max(expected[f, y, x], 0.0)
+            bright = min(2.0 * total / width + 2.0, 29.9)
+            top = 0.0
+            for x in range(width):
+                mean[x] = max(expected[f, y, x], 0.0) if expected[f, y, x] <= bright else 0.0
+                top = max(top, mean[x])
+            poisson_row(mean, u, int(top + 8.0 * math.sqrt(top) + 9.0), none, below, counts)
+            for x in range(width):
+                n = np.int64(counts[x])
+                if expected[f, y, x] > bright:
+                    n, _ = poisson(expected[f, y, x], stream(key, frames[f], y * width + x))
+                if n == 0 or shape == 0.0:
+                    result[f, y, x] = n
+                else:
+                    amplified, _ = gamma(shape * n, stream(key + np.uint64(1), frames[f], y * width + x))
+                    result[f, y, x] = kept * n + (1.0 - kept) * amplified / shape
+    return result
+
+
+@jit
+def read_out(electrons, sigma, mean, frames, key):  # type: ignore[no-untyped-def]
+    n_frames, height, width = electrons.shape
+    bits, tail = np.empty(width, np.uint64), np.empty(width, np.float32)
+    for f in range(n_frames):
+        for y in range(height):
+            tails(key, frames[f], y * width, bits, tail)
+            add_normal(electrons[f, y], np.float32(mean), sigma[y], tail)
+
+
+@vectorised
+def add_normal(values, mean, sigma, tail):  # type: ignore[no-untyped-def]
+    for x in range(values.size):
+        values[x] += mean + sigma[x] * normal_quantile(tail[x])
+
+
+@jit
+def digitise(electrons, electrons_per_adu, baseline, most):  # type: ignore[no-untyped-def]
+    """min(⌊electrons / electrons_per_adu + baseline⌋, most), never below 0; baseline (y, x) float32."""
+    n_frames, height, width = electrons.shape
+    counts = np.empty(electrons.shape, np.uint16)
+    top = np.float32(most)
+    for f in range(n_frames):
+        for y in range(height):
+            for x in range(width):
+                adu = np.floor(electrons[f, y, x] / electrons_per_adu + baseline[y, x])
+                counts[f, y, x] = np.int32(min(max(adu, np.float32(0.0)), top))
+    return counts

@@ -1,0 +1,233 @@
+"""The demonstration: an effect is hidden in an acquisition, and found again from the files alone.
+
+`prepare` is the one who hides: it draws an effect, simulates, and leaves movie, dark frames and the model a user
+would believe in; the truth goes into a sealed envelope. `investigate` is the user: it reads those three files and
+nothing else. `open_envelope` compares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from napari_mufasa import files
+from napari_mufasa.errors import Cancelled
+
+if TYPE_CHECKING:
+    from napari_mufasa.discover.result import Report
+    from napari_mufasa.model.model import Model
+
+Progress = Callable[[int, int], None]
+Cancel = Callable[[], bool]
+Say = Callable[[str], Any]
+
+N_DARK = 100
+#: What may be hidden, with ranges in which it is visible in this acquisition; forms are drawn, too.
+HIDDEN: dict[str, dict[str, tuple[float, float]]] = {
+    "triplet_blinking": {"off_rate_per_s": (5, 15), "dark_time_s": (0.03, 0.08)},
+    "photobleaching": {"rate_per_s": (0.2, 0.5)},
+    "delayed_activation": {"fraction": (0.5, 0.8), "activation_rate_per_s": (0.3, 0.8)},
+    "brightness_heterogeneity": {"spread": (0.4, 0.6)},
+    "laser_drift": {"change": (-0.5, -0.3)},
+    "laser_flicker": {"rms": (0.08, 0.15)},
+    "periodic_modulation": {"amplitude": (0.12, 0.2), "period_frames": (5, 20)},
+    "stage_drift": {"distance_px": (2, 4), "direction_deg": (0, 360)},
+    "focus_drift": {"widening": (0.4, 0.7)},
+    "molecule_diffusion": {"diffusion_px2_per_frame": (0.005, 0.015)},
+}
+BELIEVED: dict[str, Any] = {
+    "protocol": "FF",
+    "acquisition": {"n_frames": 300, "frame_length_s": 0.02, "pixel_size_nm": 100.0, "shape_px": [96, 96]},
+    "fluorophore": {
+        "extinction_coefficient_per_M_cm": 55900, "lifetime_s": 2.6e-9, "quantum_yield": 0.6,
+        "cycles_before_bleaching": 4e6, "isc_ratio": None, "triplet_decay_rate_per_s": None,
+    },
+    "excitation": {"wavelength_nm": 488, "power_density_w_per_cm2": 30, "activation_rate_per_s": None},
+    "optics": {"psf_fwhm_nm": 300, "collection_efficiency": 0.6, "background_photons_per_px": 10},
+    "camera": {
+        "type": "EMCCD", "quantum_efficiency": 0.9, "read_noise_e": 50, "clock_induced_charge_e": 0.002,
+        "electrons_per_adu": 12, "baseline_adu": 200, "adc_max": 65535, "em_gain": 300,
+    },
+    "sample": {"n_molecules": 50, "min_distance_px": 6},
+    "effects": [],
+}  # fmt: skip
+
+
+def run(
+    directory: Path, seed: int = 1, say: Say = print, progress: Progress | None = None, cancel: Cancel | None = None
+) -> Report:
+    """The whole demonstration into `directory`; says what it does and finds, line by line."""
+    directory.mkdir(parents=True, exist_ok=True)
+    prepare(directory, seed)
+    say(f"An effect, drawn by seed {seed}, is hidden in {directory / 'movie.ome.tif'}; the truth is sealed.")
+    report = investigate(directory, say, progress, cancel)
+    say("")
+    for line in open_envelope(directory, report):
+        say(line)
+    return report
+
+
+def prepare(directory: Path, seed: int) -> None:
+    """Hide an effect: movie.ome.tif, dark.ome.tif and model.json for the user, envelope.json for later.
+
+    Power, background and focus are a few percent off what the model says, as they are in every laboratory.
+    """
+    from napari_mufasa.model.model import Model
+    from napari_mufasa.simulate.movie import simulate, simulate_dark
+
+    rng = np.random.default_rng([seed, 0xDE30])
+    believed = Model.from_dict(BELIEVED)
+    effect = draw_effect(believed, rng)
+    off = {
+        "excitation.power_density_w_per_cm2": 30 * rng.uniform(0.93, 1.07),
+        "optics.background_photons_per_px": 10 * rng.uniform(0.93, 1.07),
+        "optics.psf_fwhm_nm": 300 * rng.uniform(0.97, 1.03),
+    }
+    truth = believed.with_values(off).with_effects(effect)
+    movie = simulate(truth, seed=int(rng.integers(2**31))).movie
+    dark = simulate_dark(truth, N_DARK, seed=int(rng.integers(2**31)))
+    # The metadata hold what the user believes: the diagnosis must not find the answer there.
+    files.write_movie(directory / "movie.ome.tif", [movie], movie.shape, movie.dtype, model=believed)
+    files.write_movie(directory / "dark.ome.tif", [dark], dark.shape, dark.dtype, model=believed)
+    believed.to_json(directory / "model.json")
+    files.write_json(
+        directory / "envelope.json", {"seed": seed, "effect": effect.model_dump(), "model": truth.to_dict()}
+    )
+
+
+def draw_effect(model: Model, rng: np.random.Generator) -> Any:
+    """An effect of `HIDDEN` with a drawn form and drawn values within the visible range."""
+    from napari_mufasa.effects import effect_class
+
+    kind = str(rng.choice(list(HIDDEN)))
+    data: dict[str, Any] = {"kind": kind}
+    data |= {name: float(rng.uniform(*bounds)) for name, bounds in HIDDEN[kind].items()}
+    forms = effect_class(kind).forms()
+    if forms != ("",):
+        data["form"] = str(rng.choice(list(forms)))
+    return model.with_values({"effects": [data]}).effects[0]
+
+
+def investigate(
+    directory: Path, say: Say = print, progress: Progress | None = None, cancel: Cancel | None = None
+) -> Report:
+    """The user's part, from movie.ome.tif, dark.ome.tif and model.json alone; writes directory/diagnosis."""
+    from napari_mufasa import discover
+    from napari_mufasa.compare import compare_movie
+    from napari_mufasa.denoise.pipeline import denoise
+    from napari_mufasa.files import traces as trace_files
+    from napari_mufasa.model.model import Model
+    from napari_mufasa.report import figures
+    from napari_mufasa.report import html as html_report
+    from napari_mufasa.report.words import summary
+    from napari_mufasa.traces import extract_traces
+
+    model = Model.from_json(directory / "model.json")
+    movie, dark = files.load(directory / "movie.ome.tif"), files.load(directory / "dark.ome.tif")
+    n_frames, height, width = movie.shape
+    say(f"Movie: {n_frames} frames of {height} × {width} px; dark: {len(dark)} frames.")
+
+    photons = denoise(movie, model.camera, cancel=cancel)
+    _write(directory / "denoised.ome.tif", photons, model)
+    say(f"Denoised: {photons.mean():.2f} photons per pixel and frame on average.")
+
+    traces = extract_traces(movie, model.camera, dark, psf_sigma_px=model.sigma_px, cancel=cancel)
+    trace_files.write_traces(directory, traces)
+    say(f"Traces: {len(traces.traces)} molecules kept of {len(traces.molecules)} candidates.")
+
+    before = compare_movie(movie, model, dark, fit=False, cancel=cancel)
+    say(f"Distance W1 to the believed model: {_w1(before)}; floor {before.w1['floor']:.3g} {before.w1['unit']}.")
+    _stop_if(cancel)
+
+    say("Diagnosing …")
+    report = discover.diagnose(movie, model, dark, progress=progress, cancel=cancel)
+    folder = directory / "diagnosis"
+    folder.mkdir(exist_ok=True)
+    html_report.export(folder, report, traces.traces, f"{n_frames} frames of {height} × {width} px")
+    for line in summary(report):
+        say(line)
+    error = report.error
+    say(
+        f"Error on held-out data: before {error['before']:.2f}, after {error['after']:.2f}, floor {error['floor']:.2f}."
+    )
+
+    after = compare_movie(movie, report.model, dark, fit=False, cancel=cancel)
+    say(f"Distance W1 to the completed model: {_w1(after)}.")
+    pictures = [*figures.comparison_drawings(after), figures.movie_drawing("movie", movie, "ADU")]
+    pictures.append(figures.movie_drawing("denoised", photons, "photons"))
+    for drawing in pictures:
+        (directory / f"{drawing.name}.png").write_bytes(drawing.render("light"))
+    say(f"Report: {folder / 'report.html'}")
+    return report
+
+
+def open_envelope(directory: Path, report: Report) -> list[str]:
+    """What was hidden, and whether the verdict named it."""
+    from napari_mufasa.report.words import effect_title, number
+
+    effect = files.read_json(directory / "envelope.json")["effect"]
+    kind = effect.pop("kind")
+    values = ", ".join(f"{k} = {number(v) if isinstance(v, float) else v}" for k, v in effect.items())
+    lines = [f"The envelope: {effect_title(kind)} ({kind}: {values})."]
+    if kind in report.chosen:
+        others = [other for other in report.chosen if other != kind]
+        lines.append("The verdict named it" + (f", and also {', '.join(others)}." if others else "."))
+    elif any(kind in candidate.indistinguishable_from for candidate in report.ranking[:1]):
+        lines.append("The verdict named another effect and said that the two cannot be told apart.")
+    else:
+        lines.append(f"The verdict did not name it (verdict: {report.verdict}; named: {report.chosen or 'nothing'}).")
+    return lines
+
+
+def open_viewer(directory: Path) -> None:
+    """napari with the workflow, the movie and its dark frames, its denoised form and the molecules; returns when the
+    window is closed."""
+    import napari
+    import pandas as pd
+
+    from napari_mufasa.files.layers import movie_layer
+    from napari_mufasa.widgets.turns.session import session_of
+
+    viewer = napari.Viewer(title="napari-mufasa demo")
+    viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
+    dark, dark_options, _ = movie_layer(directory / "dark.ome.tif")
+    data, options, _ = movie_layer(directory / "movie.ome.tif")
+    space = {name: options[name] for name in ("scale", "units", "axis_labels") if name in options}
+    ours = {files.METADATA_KEY: {"role": "dark frames"}}
+    viewer.add_image(dark, **(dark_options | space | {"visible": False, "metadata": ours}))
+    movie = viewer.add_image(data, **options)
+    photons, photons_options, _ = movie_layer(directory / "denoised.ome.tif")
+    ours = {files.METADATA_KEY: {"role": "photons"}}
+    viewer.add_image(photons, **(photons_options | space | {"visible": False, "metadata": ours}))
+    table = pd.read_csv(directory / "molecules.csv")
+    kept = table[table["kept"]].reset_index(drop=True)
+    viewer.add_points(
+        kept[["y_px", "x_px"]].to_numpy(), name="molecules", scale=movie.scale[-2:], units=movie.units[-2:], size=6,
+        features=kept, face_color="transparent", border_color="cyan", border_width=0.07,
+    )  # fmt: skip
+    session = session_of(viewer)
+    session.set_movie(movie)
+    session.set_dark(viewer.layers[0])
+    model = Model.stored_in(files.read_movie(directory / "movie.ome.tif").metadata)
+    if model is not None:
+        session.set_model(model, f"metadata of {movie.name}")
+    viewer.dims.set_point(0, 0)
+    napari.run()
+
+
+def _write(path: Path, photons: np.ndarray[Any, Any], model: Model) -> None:
+    size_nm = model.acquisition.pixel_size_nm
+    files.write_movie(path, [photons], photons.shape, photons.dtype, pixel_size_nm=size_nm)
+
+
+def _w1(comparison: Any) -> str:
+    value = comparison.w1["mufasa"]
+    return "unknown (no molecule in the simulated movie)" if value is None else f"{value:.3g}"
+
+
+def _stop_if(cancel: Cancel | None) -> None:
+    if cancel is not None and cancel():
+        raise Cancelled

@@ -1,0 +1,186 @@
+"""Planning an experiment: what a model predicts before any movie is taken, by formulas (SPEC.md §2–4, §7).
+
+The formulas are those of the base model: `model.effects` are not in them. To see an effect, simulate.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from napari_mufasa.camera.detector import multiplication_noise
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.photophysics import rates
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from napari_mufasa.model.model import Model
+
+MAX_POINTS = 1000
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What to expect of one molecule and one movie; None where the model has no such thing.
+
+    Attributes
+    ----------
+    k01_per_s : excitation rate
+    emitted_photons_per_frame, detected_e_per_frame : of a molecule that is bright for the whole frame
+    peak_pixel_e, peak_pixel_adu : its signal in the pixel it is centred on (ADU: with baseline and background)
+    snr_peak_pixel, snr_spot : signal over noise in a frame, in that pixel and with the spot's pixels weighted
+        by the PSF; shot noise with the camera's multiplication noise, background and read noise included
+    on_time_s, dark_time_s : mean visit to the bright and to the dark state
+    duty_cycle : share of its life the molecule is bright
+    bleaching_time_s : mean time until bleaching, dark times and activation included
+    photons_before_bleaching : detected photoelectrons in a life
+    bleached_by_the_end : share of molecules bleached when the movie ends
+    w1_floor_e : Wasserstein distance expected between two halves of the movie's frames (independent frames)
+    smallest_change : relative change of brightness whose distance equals that floor
+    """
+
+    k01_per_s: float
+    emitted_photons_per_frame: float
+    detected_e_per_frame: float
+    peak_pixel_e: float
+    peak_pixel_adu: float
+    snr_peak_pixel: float
+    snr_spot: float
+    on_time_s: float | None
+    dark_time_s: float | None
+    duty_cycle: float
+    bleaching_time_s: float | None
+    photons_before_bleaching: float | None
+    bleached_by_the_end: float | None
+    w1_floor_e: float
+    smallest_change: float | None
+
+
+def predict(model: Model) -> Prediction:
+    """The expectations of a model."""
+    dye, light, optics, timing = model.fluorophore, model.excitation, model.optics, model.acquisition
+    k01 = rates.excitation_rate(dye.extinction_coefficient_per_M_cm, light.power_density_w_per_cm2, light.wavelength_nm)
+    k10 = rates.relaxation_rate(dye.lifetime_s)
+    blinks = model.protocol in ("Blinking", "STORM") and bool(dye.isc_ratio)
+    k1t = rates.intersystem_crossing_rate(dye.isc_ratio or 0.0, dye.lifetime_s) if blinks else 0.0
+    cycles = dye.cycles_before_bleaching
+    k1b = rates.bleaching_rate(cycles, dye.lifetime_s) if cycles is not None else 0.0
+    excited = k01 / (k01 + k10 + k1t + k1b)  # share of the bright time spent in S1
+    off_rate, bleach_rate = excited * k1t, excited * k1b
+    dark_s = 1 / dye.triplet_decay_rate_per_s if blinks and dye.triplet_decay_rate_per_s else None
+    returns = dark_s is not None or not blinks  # a triplet without decay never comes back
+    duty = 1 / (1 + off_rate * dark_s) if dark_s is not None else 1.0
+
+    detected_share = optics.collection_efficiency * optics.brightness_correction * model.camera.quantum_efficiency
+    emitted = dye.quantum_yield * k10 * excited * timing.frame_length_s
+    detected = emitted * detected_share
+    bleach_s = None
+    if bleach_rate > 0 and returns:
+        waiting = dark_s or 0.0  # Blinking and STORM start in the triplet
+        if model.protocol == "PALM" and light.activation_rate_per_s:
+            waiting = 1 / light.activation_rate_per_s
+        bleach_s = waiting + 1 / (bleach_rate * duty)
+    leaving = off_rate + bleach_rate
+    pixels = _spot(model, detected)
+    floor = _w1_floor_e(model, detected, duty, pixels.spot_noise_e, pixels.empty_noise_e)
+    movie_s = timing.n_frames * timing.interval_s
+    return Prediction(
+        k01_per_s=k01,
+        emitted_photons_per_frame=emitted,
+        detected_e_per_frame=detected,
+        peak_pixel_e=pixels.peak_e,
+        peak_pixel_adu=pixels.peak_adu,
+        snr_peak_pixel=pixels.peak_e / pixels.peak_noise_e,
+        snr_spot=detected / pixels.spot_noise_e,
+        on_time_s=1 / leaving if leaving > 0 else None,
+        dark_time_s=dark_s,
+        duty_cycle=duty,
+        bleaching_time_s=bleach_s,
+        photons_before_bleaching=dye.quantum_yield * k10 / k1b * detected_share if k1b else None,
+        bleached_by_the_end=float(-np.expm1(-movie_s * bleach_rate * duty)) if k1b else None,
+        w1_floor_e=floor,
+        smallest_change=floor / (detected * duty) if detected > 0 else None,
+    )
+
+
+def design(model: Model, vary: Mapping[str, Sequence[Any]] | None = None) -> pd.DataFrame:
+    """Predictions for every combination of the values given by dotted path, one row each.
+
+    ``design(model, {"excitation.power_density_w_per_cm2": [1, 10, 100]})``. Raises `MufasaError` for a path or
+    a value the model does not allow, or more than `MAX_POINTS` combinations.
+    """
+    import pandas as pd
+
+    vary = vary or {}
+    n_points = int(np.prod([len(values) for values in vary.values()]))
+    if not 1 <= n_points <= MAX_POINTS:
+        raise MufasaError(f"the values given make {n_points} combinations: give between 1 and {MAX_POINTS}")
+    rows = []
+    for values in itertools.product(*vary.values()):
+        point = dict(zip(vary, values, strict=True))
+        rows.append(point | asdict(predict(model.with_values(point) if point else model)))
+    return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True)
+class _Spot:
+    """Signal and noise of a spot centred on a pixel, in photoelectrons (peak_adu: in counts)."""
+
+    peak_e: float
+    peak_adu: float
+    peak_noise_e: float
+    spot_noise_e: float
+    empty_noise_e: float
+
+
+def _spot(model: Model, detected_e: float) -> _Spot:
+    from scipy.special import erf
+
+    camera = model.camera
+    offsets_px = np.arange(-50, 51)
+    edge = erf(np.stack([offsets_px - 0.5, offsets_px + 0.5]) / (np.sqrt(2) * model.sigma_px))
+    line = (edge[1] - edge[0]) / 2
+    centre = float(line[50] ** 2)
+    n_pixels = 1 / float(np.sum(line**2) ** 2)  # noise-equivalent number of pixels of the PSF-weighted sum
+    gain = float(camera.em_gain or 1.0)
+    read_e2 = camera.read_noise_e**2
+    if camera.variance_map_e2 is not None:
+        read_e2 = float(np.mean(camera.variance_map_e2))
+    alpha = multiplication_noise(camera)
+    dark_e = camera.quantum_efficiency * model.optics.background_photons_per_px + camera.clock_induced_charge_e
+    peak = detected_e * centre
+    out_e = (peak + dark_e) * gain
+    slope = gain
+    if camera.type == "CMOS":
+        from napari_mufasa.camera.detector import cmos_response
+
+        step = np.array([peak + dark_e, peak + dark_e + 0.01])
+        at, above = cmos_response(step, camera.model_copy(update={"gain_map": None})).astype(float)
+        out_e, slope = at, max((above - at) / 0.01, 1e-9)
+    read_e2 /= slope**2
+    return _Spot(
+        peak_e=peak,
+        peak_adu=min(out_e / camera.electrons_per_adu + camera.baseline_adu, camera.adc_max),
+        peak_noise_e=float(np.sqrt(alpha * (peak + dark_e) + read_e2)),
+        spot_noise_e=float(np.sqrt(alpha * (detected_e + n_pixels * dark_e) + n_pixels * read_e2)),
+        empty_noise_e=float(np.sqrt(n_pixels * (alpha * dark_e + read_e2))),
+    )
+
+
+def _w1_floor_e(model: Model, on_e: float, duty: float, on_noise_e: float, off_noise_e: float) -> float:
+    """E|F₁ − F₂| integrated: for two halves of M samples, √(2/π)·√(4/M)·∫√(F(1−F))."""
+    from scipy.stats import norm
+
+    samples = max(2, model.sample.n_molecules * model.acquisition.n_frames)
+    width = max(on_noise_e, off_noise_e)
+    if width <= 0:
+        return 0.0
+    e = np.linspace(min(0.0, on_e) - 8 * width, on_e + 8 * width, 4001)
+    below = duty * norm.cdf((e - on_e) / max(on_noise_e, 1e-9)) + (1 - duty) * norm.cdf(e / max(off_noise_e, 1e-9))
+    spread = np.trapezoid(np.sqrt(np.clip(below * (1 - below), 0, None)), e)
+    return float(np.sqrt(2 / np.pi) * np.sqrt(4 / samples) * spread)

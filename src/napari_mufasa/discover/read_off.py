@@ -1,0 +1,164 @@
+"""What a movie shows of an effect directly, so that no fit needs to search for it.
+
+`READERS` holds a function for each kind of effect that has such parameters: from an `Observation` to their values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from napari_mufasa.effects.courses import stepwise
+from napari_mufasa.observe import Observation
+from napari_mufasa.observe.summary import mean_shape
+
+Array = NDArray[np.float64]
+Reader = Callable[[Observation], dict[str, Any]]
+VALUES, FEWEST = 60, 5  # most values of a course, and frames for each: a walk is a walk, not flicker
+SLOW = 0.36  # mean square of a course's steps over its variance: of random walks 97 % have less, of 1/f noise 1.5 %
+SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴
+FEWEST_TILES = 12  # of the background's map that tell a relief
+RELIEF = (
+    0.5  # variance of the smoothed map over that of what smoothing takes away: white noise on 12 × 12 tiles reached
+)
+# 0.42 at most in 20 000 draws, on 6 × 6 tiles one in 80 passes
+SEEN_PX = 0.3  # a common path that reaches farther is no noise
+PATH_VALUES, PRECISE_PX = 30, 0.03  # most values of a path, and how precise each should be
+FIFTHS = 5
+
+
+def read_off(kind: str, observation: Observation) -> dict[str, Any]:
+    """Parameters of an effect that the movie shows, by name; nothing for effects that have none."""
+    reader = READERS.get(kind)
+    return {} if reader is None else reader(observation)
+
+
+def course_of(readings: Array) -> dict[str, Any]:
+    """`course` from independent readings (reading, time) of it; () where they do not agree that anything changed."""
+    mean = readings.mean(axis=0)
+    noise = readings.var(axis=0, ddof=1).mean() / len(readings)
+    if not np.isfinite(mean).all() or mean.var() < SEEN * noise:
+        return {"course": ()}
+    mean = mean - mean[0]
+    return {"course": tuple((mean / np.abs(mean).max()).round(4).tolist())}
+
+
+def light_course(observation: Observation) -> dict[str, Any]:
+    """`course` of the background, if it changes slowly: what flickers is no drift."""
+    n = min(VALUES, len(observation.course) // FEWEST)
+    if n < FEWEST:
+        return {"course": ()}
+    frames = len(observation.course) // n
+    readings = observation.course[: frames * n].reshape(n, frames).T
+    mean = readings.mean(axis=0)
+    slow = np.mean(np.diff(mean) ** 2) < SLOW * mean.var()
+    return course_of(readings) if slow else {"course": ()}
+
+
+def light_step(observation: Observation) -> dict[str, float]:
+    """`step_at` and `step_frames` as the background shows them.
+
+    The split of the movie whose two means differ most beyond noise, then least squares around it.
+    """
+    light = observation.course
+    n = len(light)
+    before = np.arange(1, n)
+    total = np.cumsum(light)[:-1]
+    difference = total / before - (light.sum() - total) / (n - before)
+    evidence = np.abs(difference) * np.sqrt(before * (n - before) / n)
+    inner = slice(n // 20, n - n // 20)
+    rough = np.argmax(evidence[inner]) + n // 20 + 0.5
+    frame = np.arange(n)
+    trials = [(at, rise) for at in rough + np.arange(-4, 5) * 0.5 for rise in (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)]
+
+    def misfit(trial: tuple[float, float]) -> float:
+        design = np.stack([np.ones(n), stepwise(frame, *trial)], axis=1)
+        return float(((light - design @ np.linalg.lstsq(design, light, rcond=None)[0]) ** 2).sum())
+
+    at, rise = min(trials, key=misfit)
+    return {"step_at": float(np.clip(at / max(n - 1, 1), 0, 1)), "step_frames": float(rise)}
+
+
+def light_step_and_course(observation: Observation) -> dict[str, Any]:
+    return light_step(observation) | light_course(observation)
+
+
+def bright_side_and_relief(observation: Observation) -> dict[str, Any]:
+    return bright_side(observation) | relief(observation)
+
+
+def bright_side(observation: Observation) -> dict[str, float]:
+    """`direction_deg` as the background's tilt shows it."""
+    seen = dict(zip(observation.names, observation.part("all"), strict=True))
+    tilt = np.arctan2(seen["background_map_tilt_y"], seen["background_map_tilt_x"])
+    return {"direction_deg": float(np.rad2deg(tilt) % 360)}
+
+
+def relief(observation: Observation) -> dict[str, Any]:
+    """`seen` and `seen_columns` from the background's map, smoothed over neighbouring tiles; () where it shows
+    nothing but noise."""
+    tiles = observation.background_map
+    known = np.isfinite(tiles)
+    nothing = {"seen": (), "seen_columns": 1}
+    if known.sum() < FEWEST_TILES:
+        return nothing
+    weight = ndimage.gaussian_filter(known.astype(float), 1.0, mode="nearest")
+    smooth = ndimage.gaussian_filter(np.where(known, tiles, 0.0), 1.0, mode="nearest") / np.maximum(weight, 1e-9)
+    if smooth[known].var() < RELIEF * (tiles - smooth)[known].var():
+        return nothing
+    height = (smooth - smooth.min()) / np.ptp(smooth)
+    return {"seen": tuple(height.ravel().round(4).tolist()), "seen_columns": tiles.shape[1]}
+
+
+def common_path(observation: Observation) -> dict[str, Any]:
+    """A path that stands out from its noise is the spots' common path. A step, if it was one, came when the motion
+    along the path's end differs most before and after; that difference gives the direction."""
+    motion, blocks = observation.spots.common_motion(), observation.spots.path_px
+    along = motion @ blocks[-1]
+    # One frame before, one after at the least.
+    step = 1 + int(np.argmin(np.cumsum(along - along.mean())[:-1])) if len(along) > 1 else 0
+    y, x = motion[step:].mean(axis=0) - motion[: max(step, 1)].mean(axis=0)
+    direction = {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
+    if np.hypot(*blocks.T).max() <= SEEN_PX:
+        return direction | {"path": ()}
+    noise_px = max(float(np.diff(motion, axis=0).std()) / np.sqrt(2), 1e-6)
+    n = int(np.clip(len(motion) * (PRECISE_PX / noise_px) ** 2, len(blocks), PATH_VALUES))
+    seen = np.stack([part.mean(axis=0) for part in np.array_split(motion, min(n, len(motion)))])
+    seen -= seen[0]
+    extent = float(np.hypot(*seen.T).max())
+    path = tuple((float(b), float(a)) for b, a in (seen / extent).round(4))
+    return direction | {"path": path, "step_at": float((step - 0.5) / max(len(motion) - 1, 1))}
+
+
+def width_course(observation: Observation) -> dict[str, Any]:
+    """The course is that of the spots' width, as fifths of the molecules show it."""
+    spots = observation.spots
+    keep = np.flatnonzero(spots.inside & spots.isolated)
+    blocks = range(spots.shape.shape[1])
+    if len(keep) < 2 * FIFTHS:
+        return {"course": ()}
+    groups = [keep[i::FIFTHS] for i in range(FIFTHS)]
+    return course_of(np.array([[mean_shape(spots, g, [b])[:2].mean() for b in blocks] for g in groups]))
+
+
+def long_axis(observation: Observation) -> dict[str, float]:
+    """The axis is that of the spots' mean second moments."""
+    spots = observation.spots
+    along_y, along_x, oblique = mean_shape(spots, spots.inside & spots.isolated, range(spots.shape.shape[1]))
+    return {"axis_deg": float(np.rad2deg(0.5 * np.arctan2(2 * oblique, along_x - along_y)) % 180)}
+
+
+READERS: dict[str, Reader] = {
+    "illumination_profile": bright_side_and_relief,
+    "background_gradient": bright_side_and_relief,
+    "laser_drift": light_step_and_course,
+    "baseline_drift": light_step_and_course,
+    "background_decay": light_course,
+    "stage_drift": common_path,
+    "focus_drift": width_course,
+    "astigmatism": long_axis,
+}

@@ -1,0 +1,271 @@
+"""Traces as files: tidy CSV, 2-D TIFF, HDF5, and the .traces files of single-molecule FRET software (SPEC.md §10)."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.whole import PathLike, replacing, write_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from napari_mufasa.traces import TraceSet
+
+Unit = Literal["photoelectrons", "photons", "adu"]
+Channel = Literal["donor", "acceptor", "sum"]
+UNITS: tuple[Unit, ...] = ("photoelectrons", "photons", "adu")
+
+
+@dataclass(frozen=True)
+class TraceFile:
+    """Traces read from a file.
+
+    traces : (molecule, frame) float64; unit : one of `UNITS`; molecules : (molecule,) ids as in the file
+    positions_px : (molecule, 2) (y, x) where the file or a companion gives them, else None
+    """
+
+    traces: NDArray[np.float64]
+    unit: Unit
+    molecules: NDArray[np.int64]
+    path: Path
+    positions_px: NDArray[np.float64] | None = None
+
+
+def read_traces(path: PathLike) -> tuple[NDArray[np.float64], Unit]:
+    """Traces (molecule, frame) and their unit; see `read_trace_file`."""
+    found = read_trace_file(path)
+    return found.traces, found.unit
+
+
+def read_trace_file(path: PathLike, *, unit: Unit | None = None, channel: Channel = "donor") -> TraceFile:
+    """Read traces by the file's suffix.
+
+    * ``.csv``: tidy (molecule, frame, and one column photoelectrons, photons or adu)
+    * ``.tif``: 2-D (frame, molecule); whole numbers are taken as ADU, others as photoelectrons
+    * ``.h5``: dataset ``traces`` (molecule, frame) with attribute ``unit``, or the file's only 2-D dataset
+    * ``.traces``: int32 frames, int16 traces, int16 (frame, trace), donor and acceptor in turn; `channel`
+      chooses; in counts with the background taken off already; positions from the ``.pks`` file beside it
+
+    `unit` overrides what the file says. Raises `MufasaError` in one clear line.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MufasaError(f"no file {path}: give a .csv, .tif, .h5 or .traces file of traces")
+    if unit is not None and unit not in UNITS:
+        raise MufasaError(f"unit {unit!r} is unknown: choose one of {', '.join(UNITS)}")
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise MufasaError(f"cannot read traces from {path}: use one of {', '.join(sorted(_READERS))}")
+    try:
+        found: TraceFile = reader(path, channel)
+    except MufasaError:
+        raise
+    except Exception as error:
+        raise MufasaError(f"{path} is not a readable file of traces ({error}): export it anew") from None
+    if found.traces.ndim != 2 or found.traces.size == 0:
+        raise MufasaError(f"{path} has shape {found.traces.shape}: needs two-dimensional, non-empty traces")
+    if not np.isfinite(found.traces).all():
+        raise MufasaError(f"{path} has values that are not finite: drop or fill those frames first")
+    return found if unit is None else replace(found, unit=unit)
+
+
+def write_traces(directory: PathLike, traces: TraceSet, *, hdf5: bool = False) -> None:
+    """traces.csv with the kept traces and molecules.csv with every candidate and its reason; with `hdf5` traces.h5.
+
+    traces.h5 holds the kept traces (``traces``, ``molecule``), the table's columns in the group ``molecules`` and
+    every candidate's whole trace in ``all_traces``.
+    """
+    write_table(Path(directory) / "traces.csv", trace_table(traces))
+    write_table(Path(directory) / "molecules.csv", traces.molecules)
+    if not hdf5:
+        return
+    kept = traces.molecules["molecule"].to_numpy()[traces.kept]
+    with _hdf5_file(Path(directory) / "traces.h5", traces.traces, cast(Unit, traces.units), kept) as file:
+        file.create_dataset("all_traces", data=traces.all_traces, compression="gzip")
+        for name, column in traces.molecules.items():
+            values = column.to_numpy()
+            file[f"molecules/{name}"] = values.astype(bytes) if values.dtype == object else values
+
+
+def trace_table(traces: TraceSet) -> pd.DataFrame:
+    """The kept traces, tidy (molecule, frame, photoelectrons); frames count from the movie's first."""
+    kept = traces.molecules[traces.kept]
+    table = tidy(traces.traces, cast(Unit, traces.units), kept["molecule"].to_numpy())
+    if traces.options.window is not None:
+        first = np.maximum(kept["window_start"].to_numpy(), 0)
+        table["frame"] += np.repeat(first, traces.traces.shape[1])
+    return table
+
+
+def tidy(traces: NDArray[Any], unit: Unit, molecules: NDArray[np.integer]) -> pd.DataFrame:
+    """One row per molecule and frame: molecule, frame, and the value under its unit's name."""
+    import pandas as pd
+
+    n, n_frames = traces.shape
+    return pd.DataFrame(
+        {
+            "molecule": np.repeat(molecules, n_frames),
+            "frame": np.tile(np.arange(n_frames), n),
+            unit: np.round(traces.ravel().astype(np.float64), 4),
+        }
+    )
+
+
+def write_trace_file(
+    path: PathLike, traces: NDArray[Any], unit: Unit = "photoelectrons", molecules: NDArray[np.integer] | None = None
+) -> None:
+    """Write traces (molecule, frame) as tidy CSV, 2-D TIFF (frame, molecule) float32, or HDF5, by the suffix."""
+    traces = np.asarray(traces)
+    if traces.ndim != 2 or traces.size == 0:
+        raise MufasaError(f"traces have shape {traces.shape}: needs non-empty (molecule, frame)")
+    if unit not in UNITS:
+        raise MufasaError(f"unit {unit!r} is unknown: choose one of {', '.join(UNITS)}")
+    ids = np.arange(len(traces)) if molecules is None else np.asarray(molecules)
+    suffix = Path(path).suffix.lower()
+    if suffix == ".csv":
+        write_table(path, tidy(traces, unit, ids))
+    elif suffix in (".tif", ".tiff"):
+        import tifffile
+
+        with replacing(path) as temporary:
+            data = np.ascontiguousarray(traces.T, dtype=np.float32)
+            tifffile.imwrite(temporary, data, metadata={"unit": unit}, photometric="minisblack")
+    elif suffix in (".h5", ".hdf5"):
+        with _hdf5_file(path, traces, unit, ids):
+            pass
+    else:
+        raise MufasaError(f"cannot write traces to {path}: use .csv, .tif or .h5")
+
+
+@contextlib.contextmanager
+def _hdf5_file(path: PathLike, traces: NDArray[Any], unit: Unit, ids: NDArray[np.integer]) -> Iterator[Any]:
+    """A new HDF5 file with these traces, open for more; it appears when it is whole."""
+    h5py = _h5py()
+    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+        dataset = file.create_dataset("traces", data=traces, compression="gzip" if traces.size else None)
+        dataset.attrs["unit"] = unit
+        dataset.attrs["axes"] = "molecule, frame"
+        file.create_dataset("molecule", data=ids)
+        yield file
+
+
+def _read_csv(path: Path, channel: Channel) -> TraceFile:
+    import pandas as pd
+
+    table = pd.read_csv(path)
+    unit = next((u for u in UNITS if u in table.columns), None)
+    if unit is None or not {"molecule", "frame"} <= set(table.columns):
+        raise MufasaError(
+            f"{path} has columns {', '.join(map(str, table.columns))}: needs molecule, frame and one of "
+            f"{', '.join(UNITS)}"
+        )
+    if table.empty:
+        raise MufasaError(f"{path} holds no trace")
+    # Windows before bleaching start at another frame for every molecule: only the order counts.
+    table = table.sort_values(["molecule", "frame"])
+    lengths = table.groupby("molecule")["frame"].size()
+    if lengths.nunique() != 1 or table.duplicated(["molecule", "frame"]).any():
+        raise MufasaError(
+            f"{path}: molecules have {lengths.min()} to {lengths.max()} rows; all need the same number of frames, "
+            "each once"
+        )
+    values = table[unit].to_numpy(dtype=np.float64).reshape(len(lengths), -1)
+    return TraceFile(values, unit, lengths.index.to_numpy(dtype=np.int64), path)
+
+
+def _read_tiff(path: Path, channel: Channel) -> TraceFile:
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        image = file.asarray()
+        said = (file.shaped_metadata or [{}])[0].get("unit")
+    if image.ndim != 2:
+        raise MufasaError(f"{path} has shape {image.shape}: traces are one image (frame, molecule); is it a movie?")
+    if image.dtype.kind not in "uif":
+        raise MufasaError(f"{path} holds {image.dtype}: needs real numbers")
+    guess: Unit = "adu" if image.dtype.kind in "ui" else "photoelectrons"
+    return TraceFile(image.T.astype(np.float64), _unit(said, guess), np.arange(image.shape[1]), path)
+
+
+def _read_hdf5(path: Path, channel: Channel) -> TraceFile:
+    h5py = _h5py()
+    found: dict[str, Any] = {}
+
+    def collect(name: str, item: Any) -> None:
+        if getattr(item, "ndim", 0) == 2:
+            found[name] = item
+
+    with h5py.File(path, "r") as file:
+        file.visititems(collect)
+        name = "traces" if "traces" in found else next(iter(found), None)
+        if name is None or (name != "traces" and len(found) > 1):
+            raise MufasaError(f"{path} has 2-D datasets {sorted(found)}: needs one, or one named 'traces'")
+        values = np.asarray(found[name], dtype=np.float64)
+        said = found[name].attrs.get("unit")
+        ids = np.asarray(file["molecule"]) if "molecule" in file else np.arange(len(values))
+    if ids.shape != (len(values),):
+        raise MufasaError(f"{path} has {ids.size} molecule ids for {len(values)} traces: needs one for each")
+    return TraceFile(values, _unit(said, "photoelectrons"), ids.astype(np.int64), path)
+
+
+def _read_fret(path: Path, channel: Channel) -> TraceFile:
+    raw = path.read_bytes()
+    if len(raw) < 6:
+        raise MufasaError(f"{path} is too short for a .traces file: copy it anew")
+    n_frames = int(np.frombuffer(raw, "<i4", 1)[0])
+    n_traces = int(np.frombuffer(raw, "<i2", 1, 4)[0])
+    expected = 6 + 2 * n_frames * n_traces
+    if n_frames <= 0 or n_traces <= 0 or n_traces % 2 or len(raw) != expected:
+        raise MufasaError(
+            f"{path} says {n_frames} frames × {n_traces} traces but holds {len(raw)} bytes instead of {expected}: "
+            "not a donor/acceptor .traces file, or damaged"
+        )
+    values = np.frombuffer(raw, "<i2", offset=6).reshape(n_frames, n_traces).T.astype(np.float64)
+    donor, acceptor = values[0::2], values[1::2]
+    choices = {"donor": donor, "acceptor": acceptor, "sum": donor + acceptor}
+    if channel not in choices:
+        raise MufasaError(f"channel {channel!r} is unknown: choose {', '.join(choices)}")
+    positions = _read_peaks(path.with_suffix(".pks"), n_traces, channel)
+    return TraceFile(choices[channel], "adu", np.arange(n_traces // 2), path, positions)
+
+
+def _read_peaks(path: Path, n_traces: int, channel: Channel) -> NDArray[np.float64] | None:
+    """Positions (molecule, 2) from a .pks file (number, x, y, …), if it fits; else None."""
+    if not path.is_file():
+        return None
+    table = np.loadtxt(path, ndmin=2)
+    if len(table) != n_traces or table.shape[1] < 3:
+        return None
+    rows = table[1::2] if channel == "acceptor" else table[0::2]
+    return np.asarray(rows[:, [2, 1]])
+
+
+def _unit(said: Any, guess: Unit) -> Unit:
+    text = said.decode() if isinstance(said, bytes) else said
+    return next((u for u in UNITS if u == text), guess)
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise MufasaError("HDF5 needs the package h5py: pip install h5py, or use .csv") from None
+    return h5py
+
+
+_READERS: dict[str, Any] = {
+    ".csv": _read_csv,
+    ".tif": _read_tiff,
+    ".tiff": _read_tiff,
+    ".h5": _read_hdf5,
+    ".hdf5": _read_hdf5,
+    ".traces": _read_fret,
+}

@@ -1,0 +1,145 @@
+"""What an effect is: named parameters, what it does to a scene, and words a user understands.
+
+An effect is data in ``model.effects``. The simulator builds a `Scene` from the model and lets every effect
+change it once (`Effect.apply`); nothing else in the simulator knows which effects exist. A third party
+registers a class under the entry-point group ``napari_mufasa.effects``.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+
+from napari_mufasa.model.setup import Setup
+
+REFERENCE = {"frame_s": 0.02, "movie_s": 6.0, "frames": 300.0, "noise_adu": 4.0}
+"""The acquisition that plausible ranges are written for: 300 frames of 20 ms, 4 ADU read noise."""
+
+STAGES = ("photophysics", "illumination", "sample motion", "optics and background", "camera")
+
+
+def parameter(
+    default: float, *, ge: float | None = None, gt: float | None = None, le: float | None = None,
+    plausible: tuple[float, float], unit: str, description: str, log: bool = False, follows: str = "",
+    forms: tuple[str, ...] = (),
+) -> Any:  # fmt: skip
+    """A numeric effect parameter: hard limits, the plausible range a search covers, unit and meaning.
+
+    `plausible` is for the `REFERENCE` acquisition; `follows` names what it scales with ("movie_s": a bleaching
+    rate is looked for where molecules bleach within the movie), "/" in front where it scales inversely. `forms`: the
+    functional forms that it matters to; none named: all.
+    """
+    return Field(
+        default,
+        ge=ge,
+        gt=gt,
+        le=le,
+        description=description,
+        json_schema_extra={
+            "plausible": list(plausible), "unit": unit, "log": log, "follows": follows, "forms": list(forms),
+        },
+    )  # fmt: skip
+
+
+class Effect(BaseModel):
+    """One physical mechanism. Subclasses declare parameters as fields and override `apply`.
+
+    Class attributes
+    ----------------
+    kind : identifier in model.json (SPEC.md §9)
+    stage : one of `STAGES`
+    strength : name of the parameter whose zero (or `null_value`) switches the effect off
+    title, what_it_is, what_it_does, how_to_check : one paragraph a biologist understands, in three sentences
+    observables : prefixes of the observables it moves most
+    rivals : kinds it is easily confused with
+    separated_by : the extra measurement that separates them
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    kind: ClassVar[str] = ""
+    stage: ClassVar[str] = ""
+    strength: ClassVar[str] = ""
+    null_value: ClassVar[float] = 0.0
+    title: ClassVar[str] = ""
+    what_it_is: ClassVar[str] = ""
+    what_it_does: ClassVar[str] = ""
+    how_to_check: ClassVar[str] = ""
+    observables: ClassVar[tuple[str, ...]] = ()
+    rivals: ClassVar[tuple[str, ...]] = ()
+    separated_by: ClassVar[str] = ""
+
+    def apply(self, scene: Any, rng: np.random.Generator) -> None:
+        """Change the scene (`simulate.Scene`) in place; `rng` is this effect's own stream."""
+        raise NotImplementedError(f"effect {type(self).__name__} does nothing: override apply()")
+
+    @classmethod
+    def suits(cls, setup: Setup) -> bool:
+        """Whether the effect makes sense for this set-up (an EM register needs an EMCCD, …)."""
+        return True
+
+    @model_serializer(mode="wrap")
+    def _with_kind(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # A serializer, not `model_dump`: only this one is used when the effect is part of a model.
+        return {"kind": self.kind, **handler(self)}
+
+    @classmethod
+    def plausible(cls, setup: Setup | None = None) -> dict[str, tuple[float, float, bool]]:
+        """Numeric parameters with their plausible range and whether it is searched on a log scale.
+
+        The ranges are those of the set-up's acquisition, or of the `REFERENCE` one.
+        """
+        found = {}
+        for name, field in cls.model_fields.items():
+            extra = field.json_schema_extra
+            if isinstance(extra, dict) and "plausible" in extra:
+                bounds: Any = extra["plausible"]
+                factor = 1.0 if setup is None else _relative_scale(str(extra["follows"]), setup)
+                found[name] = (float(bounds[0]) * factor, float(bounds[1]) * factor, bool(extra["log"]))
+        return found
+
+    @classmethod
+    def unit(cls, name: str) -> str:
+        extra = cls.model_fields[name].json_schema_extra
+        return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+    @classmethod
+    def forms(cls) -> tuple[str, ...]:
+        """The functional forms the effect offers (its ``form`` field), or one unnamed form."""
+        field = cls.model_fields.get("form")
+        return tuple(getattr(field.annotation, "__args__", ())) if field is not None else ("",)
+
+    def parameters(self) -> dict[str, Any]:
+        """Name and value of what matters to the effect's form."""
+        return {name: getattr(self, name) for name in type(self).model_fields if self.matters(name)}
+
+    def matters(self, name: str) -> bool:
+        """Whether a parameter changes anything in the effect's form."""
+        extra = type(self).model_fields[name].json_schema_extra
+        forms: Any = extra.get("forms") if isinstance(extra, dict) else None
+        return not forms or self.form_name in forms
+
+    @property
+    def form_name(self) -> str:
+        return str(getattr(self, "form", ""))
+
+
+def _relative_scale(follows: str, setup: Setup) -> float:
+    """How much larger the set-up's scale is than the reference's."""
+    if not follows:
+        return 1.0
+    name = follows.removeprefix("/")
+    ratio = _scales(setup)[name] / REFERENCE[name]
+    return 1 / ratio if follows.startswith("/") else ratio
+
+
+def _scales(setup: Setup) -> dict[str, float]:
+    acquisition, camera = setup.acquisition, setup.camera
+    return {
+        "frame_s": acquisition.interval_s,
+        "movie_s": acquisition.interval_s * acquisition.n_frames,
+        "frames": float(acquisition.n_frames),
+        "noise_adu": max(camera.read_noise_e / camera.electrons_per_adu, 1.0),
+    }

@@ -1,0 +1,118 @@
+"""The model: a set-up and its effects, all that is needed to simulate a movie; JSON in and out.
+
+Models are immutable; ``model.with_values({"optics.psf_fwhm_nm": 320})`` gives a changed copy.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, SerializeAsAny, ValidationError
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.whole import write_text
+from napari_mufasa.model.effect import Effect
+from napari_mufasa.model.explain import explain
+from napari_mufasa.model.registry import effect_class, effect_from_data
+from napari_mufasa.model.setup import Setup
+
+
+def _effects(value: Any) -> Any:
+    if not isinstance(value, (list, tuple)):
+        return value
+    effects = [_effect(item, f"effects.{i}") for i, item in enumerate(value)]
+    kinds = [effect.kind for effect in effects]
+    for i, kind in enumerate(kinds):
+        if kind in kinds[:i]:
+            raise MufasaError(f"effects.{i}: {kind} is in the model already: give one of each kind")
+    return effects
+
+
+def _effect(data: Any, path: str) -> Effect:
+    try:
+        return effect_from_data(data)
+    except ValidationError as error:
+        raise MufasaError(explain(error, effect_class(str(data["kind"])), path)) from None
+    except ValueError as error:
+        raise MufasaError(f"{path}: {error}") from None
+
+
+class Model(Setup):
+    """Sample, photophysics, excitation, optics, camera and effects: all a movie needs."""
+
+    effects: Annotated[tuple[SerializeAsAny[Effect], ...], BeforeValidator(_effects)] = ()
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Model:
+        """Build a model from plain data; raises `MufasaError` naming field, value, range and remedy."""
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise MufasaError(explain(error, cls)) from None
+
+    @classmethod
+    def from_json(cls, path: str | os.PathLike[str]) -> Model:
+        """Read a model.json (SPEC.md §10); raises `MufasaError` in one clear line."""
+        try:
+            data = json.loads(Path(path).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise MufasaError(f"no file {path}: give the path of a model.json (see 'presets')") from None
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise MufasaError(f"{path} is not readable JSON ({error}): write it anew from 'presets NAME'") from None
+        if not isinstance(data, dict):
+            raise MufasaError(f"{path} holds a {type(data).__name__}, not a model: see 'presets FF' for the form")
+        try:
+            return cls.from_dict(data)
+        except MufasaError as error:
+            raise MufasaError(f"{path}: {error}") from None
+
+    @classmethod
+    def stored_in(cls, metadata: Mapping[str, Any]) -> Model | None:
+        """The model that travelled with a movie ("model" in its metadata), None without; warns where it cannot be
+        restored: the movie is still good, perhaps an effect's package is not installed."""
+        if not metadata.get("model"):
+            return None
+        try:
+            return cls.from_dict(metadata["model"])
+        except MufasaError as error:
+            warnings.warn(f"the model stored with the movie cannot be restored ({error})", stacklevel=2)
+            return None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON-ready data."""
+        return self.model_dump(mode="json")
+
+    def to_json(self, path: str | os.PathLike[str]) -> None:
+        """Write model.json (to a temporary name first, so that nothing is ever half-written)."""
+        write_text(path, json.dumps(self.to_dict(), indent=1) + "\n")
+
+    def with_values(self, values: Mapping[str, Any]) -> Model:
+        """A copy with some values changed, named by dotted path, validated anew."""
+        data = self.model_dump()
+        for path, value in values.items():
+            *parents, name = path.split(".")
+            target: Any = data
+            for parent in parents:
+                target = _member(target, parent)
+            if not isinstance(target, dict) or name not in target:
+                raise MufasaError(f"a model has no {path}: names are those of model.json, as optics.psf_fwhm_nm")
+            target[name] = value
+        return Model.from_dict(data)
+
+    def with_effects(self, *effects: Effect) -> Model:
+        """A copy with further effects; one of a kind already there is replaced."""
+        new = {effect.kind for effect in effects}
+        kept = tuple(effect for effect in self.effects if effect.kind not in new)
+        return self.model_copy(update={"effects": kept + effects})
+
+
+def _member(target: Any, name: str) -> Any:
+    """A part of nested plain data by key or index; None where there is none."""
+    if isinstance(target, (list, tuple)) and name.isdecimal() and int(name) < len(target):
+        return target[int(name)]
+    return target.get(name) if isinstance(target, dict) else None

@@ -1,0 +1,191 @@
+"""The set-up: acquisition, fluorophore, light, optics, camera, sample, typed and validated.
+
+It lies below the physics: photophysics, optics and camera read their numbers here. Effects and the whole `Model` lie
+above them.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
+
+Protocol = Literal["PALM", "STORM", "FF", "Blinking"]
+MAPS = ("offset_map_adu", "gain_map", "variance_map_e2")  # a camera's maps of its pixels
+
+
+class Part(BaseModel):
+    """A frozen group of parameters; unknown keys are an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+
+
+def _pixel_map(value: Any) -> NDArray[np.float64] | None:
+    """A (y, x) map given as an array, nested lists, or the path of a TIFF."""
+    if value is None:
+        return None
+    if isinstance(value, (str, os.PathLike)):
+        import tifffile
+
+        if not Path(value).is_file():
+            raise ValueError(f"no file {value}; give the path of a 2-D TIFF")
+        value = tifffile.imread(value)
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim != 2 or not np.isfinite(array).all():
+        raise ValueError(f"needs a finite 2-D (y, x) map, got shape {array.shape}")
+    return array
+
+
+PixelMap = Annotated[
+    Any,
+    BeforeValidator(_pixel_map),
+    PlainSerializer(lambda a: None if a is None else a.tolist(), when_used="json"),
+]
+
+
+class Acquisition(Part):
+    """How the movie was taken."""
+
+    n_frames: int = Field(ge=1, le=10_000_000, description="number of frames")
+    frame_length_s: float = Field(gt=0, le=3600, description="exposure time of a frame in s")
+    frame_interval_s: float | None = Field(
+        None, gt=0, description="time from frame start to frame start in s; null: no dead time"
+    )
+    pixel_size_nm: float = Field(gt=0, le=1e5, description="pixel size in the sample in nm")
+    shape_px: tuple[Annotated[int, Field(ge=1, le=65536)], Annotated[int, Field(ge=1, le=65536)]] = Field(
+        description="detector shape (height, width) in pixels"
+    )
+
+    @model_validator(mode="after")
+    def _interval_holds_the_exposure(self) -> Self:
+        if self.frame_interval_s is not None and self.frame_interval_s < self.frame_length_s:
+            raise ValueError(
+                f"frame_interval_s = {self.frame_interval_s} is shorter than frame_length_s = "
+                f"{self.frame_length_s}; give null or at least the exposure time"
+            )
+        return self
+
+    @property
+    def interval_s(self) -> float:
+        return self.frame_length_s if self.frame_interval_s is None else self.frame_interval_s
+
+
+class Fluorophore(Part):
+    """The molecule; ``null`` switches a transition off."""
+
+    extinction_coefficient_per_M_cm: float = Field(gt=0, le=1e7, description="ε at the excitation, 1/(M cm)")
+    lifetime_s: float = Field(gt=0, le=1e-3, description="excited-state lifetime τ in s")
+    quantum_yield: float = Field(1.0, gt=0, le=1, description="photons per relaxation")
+    cycles_before_bleaching: float | None = Field(None, gt=0, description="mean cycles N_c; null: no bleaching")
+    isc_ratio: float | None = Field(None, ge=0, le=1, description="α_isc = k1T / k10; null: no triplet")
+    triplet_decay_rate_per_s: float | None = Field(None, ge=0, description="kT0 in 1/s")
+
+
+class Excitation(Part):
+    """The light."""
+
+    wavelength_nm: float = Field(ge=100, le=5000, description="excitation wavelength in nm")
+    power_density_w_per_cm2: float = Field(ge=0, le=1e9, description="power density at the sample, W/cm²")
+    activation_rate_per_s: float | None = Field(None, ge=0, description="kNA in 1/s (PALM only)")
+
+
+class Optics(Part):
+    """From emitted photons to photons on the detector."""
+
+    psf_fwhm_nm: float = Field(gt=0, le=1e5, description="full width at half maximum of the PSF in nm")
+    collection_efficiency: float = Field(1.0, gt=0, le=1, description="share of photons that reach the detector")
+    background_photons_per_px: float = Field(0.0, ge=0, le=1e7, description="photons per pixel and frame")
+    brightness_correction: float = Field(
+        1.0,
+        gt=0,
+        le=1e6,
+        description="fitted factor on the brightness believed (power × collection); 1 = as believed",
+    )
+    emission_noise: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="share of the variance of emitted photons that detection adds its own to; 0 = counted once",
+    )
+    high_resolution_factor: int | None = Field(
+        None,
+        ge=1,
+        le=64,
+        description="render on an L-fold finer grid and sum L×L; null: exact pixel integrals",
+    )
+
+
+class Camera(Part):
+    """The detector (SPEC.md §4); maps are (y, x) arrays, nested lists or TIFF paths."""
+
+    type: Literal["CCD", "EMCCD", "CMOS"]
+    quantum_efficiency: float = Field(gt=0, le=1, description="photoelectrons per photon")
+    read_noise_e: float = Field(ge=0, le=1e6, description="read noise in electrons rms at the output")
+    clock_induced_charge_e: float = Field(0.0, ge=0, le=1e6, description="electrons per pixel and frame")
+    electrons_per_adu: float = Field(gt=0, le=1e6, description="output electrons per digital count")
+    baseline_adu: float = Field(ge=0, le=2**32, description="offset in digital counts")
+    adc_max: int = Field(65535, ge=1, le=65535, description="largest digital count (uint16 movies)")
+    em_gain: float | None = Field(None, ge=1, le=1e5, description="electron-multiplying gain; EMCCD only")
+    read_noise_mean_e: float = Field(0.0, description="mean μ of the read noise in electrons")
+    cmos_gain_curve: tuple[tuple[float, float], ...] = Field(
+        ((0.0, 0.0), (200.0, 180.0), (1000.0, 500.0), (2000.0, 600.0)),
+        description="CMOS g_p as (electrons in, electrons out) knots; continued with the last slope",
+    )
+    offset_map_adu: PixelMap = Field(None, description="per-pixel offset added to the baseline, ADU")
+    gain_map: PixelMap = Field(None, description="per-pixel factor on the gain")
+    variance_map_e2: PixelMap = Field(None, description="per-pixel read noise variance, electrons²")
+
+    @model_validator(mode="after")
+    def _fits_its_type(self) -> Self:
+        if self.type == "EMCCD" and self.em_gain is None:
+            raise ValueError("em_gain is missing: an EMCCD needs its electron-multiplying gain (1 … 100000)")
+        if self.type != "EMCCD" and self.em_gain not in (None, 1):
+            raise ValueError(f"em_gain = {self.em_gain} on a {self.type}: only an EMCCD has one; give null")
+        knots = np.asarray(self.cmos_gain_curve, dtype=float)
+        if len(knots) < 2 or np.any(np.diff(knots[:, 0]) <= 0) or np.any(np.diff(knots[:, 1]) <= 0):
+            raise ValueError("cmos_gain_curve must rise strictly in both columns: a falling curve has no inverse")
+        if self.gain_map is not None and np.any(self.gain_map <= 0):
+            raise ValueError("gain_map must be positive everywhere")
+        if self.variance_map_e2 is not None and np.any(self.variance_map_e2 < 0):
+            raise ValueError("variance_map_e2 must not be negative")
+        return self
+
+
+class Sample(Part):
+    """Where the molecules are when no positions are given."""
+
+    layout: Literal["random", "grid"] = "random"
+    n_molecules: int = Field(50, ge=0, le=10_000_000, description="number of molecules in the field")
+    min_distance_px: float = Field(0.0, ge=0, description="smallest distance between molecules (random layout)")
+
+
+class Setup(Part):
+    """Sample, photophysics, excitation, optics, camera: what is believed of an instrument, without effects."""
+
+    protocol: Protocol
+    acquisition: Acquisition
+    fluorophore: Fluorophore
+    excitation: Excitation
+    optics: Optics
+    camera: Camera
+    sample: Sample = Sample()
+
+    @model_validator(mode="after")
+    def _maps_fit_the_detector(self) -> Self:
+        for name in MAPS:
+            value = getattr(self.camera, name)
+            if value is not None and value.shape != tuple(self.acquisition.shape_px):
+                raise ValueError(
+                    f"camera.{name} has shape {value.shape}, the detector {tuple(self.acquisition.shape_px)}; "
+                    "give a map of the detector's shape"
+                )
+        return self
+
+    @property
+    def sigma_px(self) -> float:
+        """PSF standard deviation in detector pixels: FWHM / 2.3548 / pixel size."""
+        return float(self.optics.psf_fwhm_nm / (2 * np.sqrt(2 * np.log(2))) / self.acquisition.pixel_size_nm)

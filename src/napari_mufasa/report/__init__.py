@@ -1,0 +1,1 @@
+"""Everything that tells: words, figures, plots, the HTML report."""

@@ -1,0 +1,145 @@
+"""Which figures a report has, their sizes and captions; how each is drawn is in `plotting`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from napari_mufasa.report import plots as plotting
+from napari_mufasa.report.words import chosen_candidates, effect_title
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from napari_mufasa.compare import Comparison
+    from napari_mufasa.discover.result import Candidate, Curve, Report
+    from napari_mufasa.model.model import Model
+
+MOST_CURVES = 6
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure yet to be drawn in some theme: its file name, what it shows, its size, and how."""
+
+    name: str
+    caption: str
+    size_in: tuple[float, float]
+    draw: Callable[[Figure], None]
+    kind: Literal["png", "svg"] = "svg"
+
+    def render(self, theme: str, kind: Literal["png", "svg"] = "png") -> bytes:
+        with plotting.style(theme):
+            figure = plotting.figure(*self.size_in)
+            self.draw(figure)
+            return plotting.image_bytes(figure, kind)
+
+
+def diagnosis_drawings(report: Report, traces: NDArray[Any] | None = None) -> list[Drawing]:
+    """The figures of a diagnosis, in the order a reader wants them."""
+    made = [
+        Drawing(
+            "error_staircase", "Error on data that were not used for fitting, step by step.", (6.4, 3.2),
+            lambda f: plotting.staircase(f.add_subplot(), report),
+        ),
+        Drawing(
+            "evidence", "How much of the misfit each effect explains.",
+            (6.4, 1.0 + 0.36 * max(1, min(8, len(report.ranking)))),
+            lambda f: plotting.evidence(f.add_subplot(), report.ranking, report.evidence_needed),
+        ),
+        Drawing(
+            "observables", "The observables farthest from the base model, before and after.",
+            (6.4, 1.2 + 0.32 * max(1, min(10, len(report.observables)))),
+            lambda f: plotting.z_scores(f.add_subplot(), report.observables),
+        ),
+    ]  # fmt: skip
+    if report.curves:
+        shown = telling_curves(report)[:MOST_CURVES]
+        height = 0.5 + 2.2 * -(-len(shown) // 2)
+        made.insert(2, Drawing(
+            "curves", "Measured, base model and completed model; bands are ± 2 sd.", (6.4, height),
+            lambda f: plotting.curves(f, shown),
+        ))  # fmt: skip
+    for candidate in chosen_candidates(report):
+        if plotting.count_strengths(candidate):
+            made.append(_strengths(candidate))
+    if traces is not None and len(traces):
+        made.append(
+            Drawing(
+                "traces",
+                "Traces of the measured molecules.",
+                (6.4, 4.6),
+                lambda f: plotting.contact_sheet(f, traces),
+                "png",
+            )
+        )
+    return made
+
+
+def _strengths(candidate: Candidate) -> Drawing:
+    return Drawing(
+        f"strength_{candidate.effect}", f"{effect_title(candidate.effect)}: the numbers found.",
+        (6.4, 0.4 + 0.75 * plotting.count_strengths(candidate)),
+        lambda f: plotting.strengths(f, candidate),
+    )  # fmt: skip
+
+
+def telling_curves(report: Report) -> list[Curve]:
+    """The curves in the order of what they show: those the added effects move first, then the farthest off."""
+    from napari_mufasa.effects import catalogue
+
+    known = catalogue()
+    moved = {name for kind in report.chosen if kind in known for name in known[kind].observables}
+
+    def rank(curve: Curve) -> tuple[bool, float]:
+        spread = np.maximum(curve.before_sd, 0.02 * (np.ptp(curve.measured) + 1e-12))
+        return curve.name not in moved, -float(np.sqrt(np.mean(((curve.measured - curve.before) / spread) ** 2)))
+
+    return sorted(report.curves, key=rank)
+
+
+def comparison_drawings(comparison: Comparison) -> list[Drawing]:
+    """The figures of a comparison: distances, distributions, measured traces."""
+    shown = list(comparison.distributions.values())
+    return [
+        Drawing(
+            "w1", "Distance W1 to the measurement.", (6.4, 2.6),
+            lambda f: plotting.w1_bars(f.add_subplot(), comparison.w1),
+        ),
+        Drawing(
+            "counts", "Distribution of the signal per frame.", (6.4, 3.6),
+            lambda f: plotting.distribution(f.add_subplot(), comparison.distributions["counts"], comparison.w1),
+        ),
+        Drawing("distributions", "", (7.2, 7.2), lambda f: plotting.distributions(f, shown)),
+        Drawing(
+            "traces", "Measured traces.", (7.2, 5.4),
+            lambda f: plotting.contact_sheet(f, comparison.samples["measured"].traces), "png",
+        ),
+    ]  # fmt: skip
+
+
+def movie_drawing(name: str, movie: NDArray[Any], unit: str) -> Drawing:
+    """Frames spread over a movie."""
+    title = f"{name.capitalize()} ({unit})"
+    return Drawing(name, title, (6.4, 4.4), lambda f: plotting.montage(f, movie, unit=unit, title=title), "png")
+
+
+def mean_image(movie: Any, most_frames: int = 200) -> NDArray[Any]:
+    """The time mean (y, x) of frames spread over the movie."""
+    frames = np.unique(np.linspace(0, movie.shape[0] - 1, min(most_frames, movie.shape[0])).astype(int))
+    total = np.zeros(movie.shape[1:])
+    for frame in frames:
+        total += np.asarray(movie[int(frame)])
+    return total / len(frames)
+
+
+def traces_to_show(movie: Any, model: Model, dark: Any = None) -> NDArray[Any] | None:
+    """Measured traces for the report's contact sheet; None where no molecule is found."""
+    from napari_mufasa.traces import extract_traces
+
+    found = extract_traces(movie, model.camera, dark, psf_sigma_px=model.sigma_px)
+    return found.traces if len(found.traces) else None

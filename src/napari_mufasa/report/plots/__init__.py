@@ -1,0 +1,30 @@
+"""Every figure of the project: functions that draw on given Axes, in a dark or a light theme.
+
+Used by the reports and by the viewer's widgets, which own their figures:
+
+    with plotting.style("dark"):
+        figure = plotting.figure(3.5, 2.5)
+        plotting.staircase(figure.add_subplot(), report)
+
+Nothing here computes physics; arrays and reports come in, ink goes out. pyplot is not used, so that no window
+system and no global figure is involved.
+"""
+
+from napari_mufasa.report.plots.diagnosis import (
+    count_strengths,
+    curve,
+    curves,
+    evidence,
+    staircase,
+    strengths,
+    z_scores,
+)
+from napari_mufasa.report.plots.emission import contact_sheet, distribution, distributions, side_by_side, trace, w1_bars
+from napari_mufasa.report.plots.movies import molecules, montage
+from napari_mufasa.report.plots.themes import PALETTES, Palette, Theme, figure, image_bytes, style
+
+__all__ = [
+    "PALETTES", "Palette", "Theme", "contact_sheet", "count_strengths", "curve", "curves", "distribution",
+    "distributions", "evidence", "figure", "image_bytes", "molecules", "montage", "side_by_side", "staircase",
+    "strengths", "style", "trace", "w1_bars", "z_scores",
+]  # fmt: skip

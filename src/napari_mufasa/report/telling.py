@@ -1,0 +1,79 @@
+"""A diagnosis in words, for the Discover step. No Qt here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from napari_mufasa.report.words import effect_title as title_of
+
+if TYPE_CHECKING:
+    from napari_mufasa.discover.result import Candidate, Report
+
+__all__ = ["detectable_rows", "headline", "matching_curve", "title_of", "told", "words_of"]
+
+
+def words_of(candidate: Candidate) -> str:
+    """What the effect is, its fitted numbers, what to check at the microscope."""
+    from napari_mufasa.effects import catalogue
+    from napari_mufasa.report.words import parameter_lines
+
+    effect = catalogue().get(candidate.effect)
+    lines = [f"{effect.what_it_is} {effect.what_it_does}"] if effect is not None else []
+    fitted = parameter_lines(candidate)
+    if fitted:
+        lines.append(f"<b>Fitted:</b> {', '.join(fitted)}")
+    if candidate.indistinguishable_from:
+        others = ", ".join(title_of(kind).lower() for kind in candidate.indistinguishable_from)
+        separate = f" To separate: {effect.separated_by}." if effect is not None and effect.separated_by else ""
+        lines.append(f"<b>Cannot be told apart from:</b> {others}.{separate}")
+    if effect is not None and effect.how_to_check:
+        lines.append(f"<b>Check:</b> {effect.how_to_check}")
+    return "<br>".join(lines)
+
+
+def headline(report: Report) -> tuple[str, str]:
+    """The verdict in words; before anything was added, what adding the best effect would do."""
+    from napari_mufasa.report.words import lead_text, verdict_text
+
+    best = report.ranking[0] if report.ranking else None
+    before, after, floor = (report.error.get(name) for name in ("before", "after", "floor"))
+    if report.chosen and report.verdict != "adequate" and before is not None and after is not None and after >= before:
+        return (
+            f"{title_of(report.chosen[-1])} does not lower the error: Undo takes it out.",
+            f"The error on held-out data was {before:.2f}, it is {after:.2f}"
+            + (f"; noise alone gives {floor:.2f}." if floor is not None else "."),
+        )
+    if report.verdict == "adequate" or report.chosen or best is None or best.error_after is None or before is None:
+        return verdict_text(report)
+    return lead_text(report)
+
+
+def told(row: Any, completed: bool) -> str:
+    """One observable in numbers; `completed` once an effect was added."""
+    unit = f" {row['unit']}" if row["unit"] else ""
+    model = f"model {row['before']:.3g} ± {row['sd']:.2g}{unit}"
+    return f"<b>{row['title']}</b>: measured {row['measured']:.3g}, {model}" + (
+        f" · now {row['after']:.3g}" if completed else ""
+    )
+
+
+def matching_curve(observable: str, curves: Any) -> Any:
+    """The curve an observable belongs to: the one whose name it starts with (the longest such)."""
+    fitting = [curve for curve in curves if observable.startswith(curve.name)]
+    return max(fitting, key=lambda curve: len(curve.name), default=None)
+
+
+def detectable_rows(report: Report) -> list[tuple[str, str, str, str]]:
+    """(kind, title, smallest strength that would have shown, what it does) of each effect, those that show first."""
+    from napari_mufasa.effects import catalogue
+    from napari_mufasa.report.words import parameter_label
+
+    rows = []
+    for kind, strength in sorted(report.detectable.items(), key=lambda item: (item[1] is None, title_of(item[0]))):
+        effect = catalogue().get(kind)
+        words = "not at any plausible strength"
+        if strength is not None and effect is not None:
+            label, unit = parameter_label(kind, effect.strength)
+            words = f"{label} {strength:.2g} {unit}".strip()
+        rows.append((kind, title_of(kind), words, effect.what_it_does if effect is not None else ""))
+    return rows

@@ -1,0 +1,189 @@
+"""The whole chain in one place: sample → emission → optical image → movie (SPEC.md §2–4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.chance.streams import Streams
+from napari_mufasa.errors import Cancelled, MufasaError, need
+from napari_mufasa.model.model import Model
+from napari_mufasa.photophysics.engines import Engine, Exposure, simulate_photons
+from napari_mufasa.simulate import layout
+from napari_mufasa.simulate.scene import Recording, Scene, build_scene
+
+Progress = Callable[[int, int], None]
+BLOCK_BYTES = 2 * 2**20  # optical images of one block of frames: they stay close to the processor
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What `simulate` gives.
+
+    Attributes
+    ----------
+    emission : (molecule, frame) photons emitted
+    optical : (frame, y, x) float32, expected photons per pixel, before detection
+    movie : (frame, y, x) uint16, ADU
+    positions_px : (molecule, 2), (y, x) at the first frame
+    model, seed : what it was made from
+    """
+
+    emission: NDArray[np.int64]
+    optical: NDArray[np.float32]
+    movie: NDArray[np.uint16]
+    positions_px: NDArray[np.float64]
+    model: Model
+    seed: int
+
+
+class SimulatedAcquisition:
+    """A simulated acquisition whose frames are recorded on demand, block by block.
+
+    Holds the emission, the photons that images are made of (both (molecule, frame), and the same unless
+    `Optics.emission_noise` is below 1) and courses per frame, never the movie: use it to stream movies larger than
+    memory.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        positions_px: NDArray[np.floating] | None = None,
+        seed: int = 0,
+        engine: Engine = "fast",
+    ) -> None:
+        need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+        streams = Streams(seed)
+        if positions_px is None:
+            positions_px = layout.place(model, streams.of("positions"))
+        positions = layout.check_positions(positions_px)
+        self.model = model
+        self.seed = seed
+        self.scene: Scene = build_scene(model, positions, streams)
+        self.emission, expected = _emit(self.scene, engine)
+        self.photons = _imaged(self.emission, expected, model.optics.emission_noise)
+
+    @property
+    def n_frames(self) -> int:
+        return self.scene.n_frames
+
+    def record_instead(self, emission: NDArray[Any]) -> None:
+        """Record another emission (molecule, frame) in the same scene, with all its noise."""
+        self.emission = self.photons = emission
+
+    def block_frames(self) -> int:
+        """Frames per block: about `BLOCK_BYTES` of optical image."""
+        height, width = self.scene.shape_px
+        return max(1, min(self.n_frames, BLOCK_BYTES // (4 * height * width)))
+
+    def blocks(
+        self,
+        *,
+        workers: int = 1,
+        progress: Progress | None = None,
+        cancel: Callable[[], bool] | None = None,
+    ) -> Iterator[tuple[slice, Recording]]:
+        """Record the movie block by block, in order; `workers` threads run ahead."""
+        size = self.block_frames()
+        slices = [slice(f, min(f + size, self.n_frames)) for f in range(0, self.n_frames, size)]
+        with ThreadPoolExecutor(workers) as pool:
+            pending: list[tuple[slice, Future[Recording]]] = []
+            upcoming = iter(slices)
+            for _ in slices:
+                while len(pending) < workers + 1 and (span := next(upcoming, None)) is not None:
+                    pending.append((span, pool.submit(self.scene.record, self.photons, span.start, span.stop)))
+                span, future = pending.pop(0)
+                yield span, future.result()
+                if progress is not None:
+                    progress(span.stop, self.n_frames)
+                if cancel is not None and cancel():
+                    for _, waiting in pending:
+                        waiting.cancel()
+                    raise Cancelled
+
+
+def simulate(
+    model: Model,
+    positions_px: NDArray[np.floating] | None = None,
+    seed: int = 0,
+    engine: Engine = "fast",
+    *,
+    workers: int = 1,
+    progress: Progress | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Simulation:
+    """Simulate a movie from molecules to digital counts.
+
+    Parameters
+    ----------
+    model : what to simulate, effects included
+    positions_px : (molecule, 2) positions (y, x) in detector pixels; None: the model's sample layout
+    seed : the same seed gives the same movie, whatever `workers`
+    engine : "fast" or "exact" (SPEC.md §2)
+    progress : called with (frames done, frames in all); cancel : returns True to stop (raises `Cancelled`)
+
+    Peak memory: the result (optical 4 bytes and movie 2 bytes per pixel and frame) and one block per worker.
+    For movies larger than memory use `SimulatedAcquisition.blocks`.
+    """
+    acquisition = SimulatedAcquisition(model, positions_px, seed, engine)
+    shape = (acquisition.n_frames, *acquisition.scene.shape_px)
+    optical = np.empty(shape, dtype=np.float32)
+    movie = np.empty(shape, dtype=np.uint16)
+    for span, block in acquisition.blocks(workers=workers, progress=progress, cancel=cancel):
+        optical[span], movie[span] = block.optical, block.movie
+    return Simulation(acquisition.emission, optical, movie, acquisition.scene.positions_px, model, seed)
+
+
+def simulate_emission(
+    model: Model, n_molecules: int = 1000, seed: int = 0, engine: Engine = "fast"
+) -> NDArray[np.int64]:
+    """Photons emitted per molecule and frame, (molecule, frame) int64; no optics, no camera.
+
+    Molecules are spread over the field, so that effects across the field act on them too. An effect that
+    puts several emitters in a spot adds rows.
+    """
+    if isinstance(n_molecules, bool) or not isinstance(n_molecules, (int, np.integer)) or n_molecules < 0:
+        raise MufasaError(f"n_molecules = {n_molecules!r}: give a whole number ≥ 0")
+    need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    streams = Streams(seed)
+    positions = layout.scatter(int(n_molecules), model.acquisition.shape_px, 0.0, streams.of("positions"))
+    return _emit(build_scene(model, positions, streams), engine)[0]
+
+
+def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint16]:
+    """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects."""
+    if isinstance(n_frames, bool) or not isinstance(n_frames, (int, np.integer)) or n_frames < 1:
+        raise MufasaError(f"n_frames = {n_frames!r}: give a whole number ≥ 1")
+    need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    # Slow courses keep the movie's pace: the dark frames are as if taken at its beginning.
+    frames = max(int(n_frames), model.acquisition.n_frames)
+    acquisition = model.acquisition.model_copy(update={"n_frames": frames})
+    optics = model.optics.model_copy(update={"background_photons_per_px": 0.0})
+    dark_model = model.model_copy(update={"acquisition": acquisition, "optics": optics})
+    # The sensor's patterns are the movie's (same seed); its noise is not.
+    scene = build_scene(dark_model, np.empty((0, 2)), Streams(seed))
+    scene.streams = Streams(seed + 2**32)
+    return scene.record(np.empty((0, frames), dtype=np.int64), 0, int(n_frames)).movie
+
+
+def _emit(scene: Scene, engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    timing = scene.setup.acquisition
+    exposure = Exposure(timing.frame_length_s, timing.interval_s - timing.frame_length_s, scene.light)
+    return simulate_photons(scene.chain, scene.drive(), exposure, scene.streams, engine)
+
+
+def _imaged(emission: NDArray[np.int64], expected: NDArray[np.float64], noise_kept: float) -> NDArray[Any]:
+    """Photons (molecule, frame) that images are made of: the emission, with a share of the variance of its noise.
+
+    N emitted photons of which each is detected with chance p make a count of variance p E[N] + p² (Var N − E[N]): light
+    that is Poisson stays Poisson. A Poisson detection of the image of N (SPEC.md §4) has p E[N] + p² Var N instead,
+    which is right when none of the noise of Poisson light is kept in the image.
+    """
+    if noise_kept == 1:
+        return emission
+    return np.asarray(expected + np.sqrt(noise_kept) * (emission - expected))

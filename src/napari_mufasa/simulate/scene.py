@@ -1,0 +1,156 @@
+"""The scene: all a movie needs, as arrays and small functions, before a single photon is drawn.
+
+`build_scene` turns a model into a scene and lets every effect change it once. `Scene.record` then plays any
+block of frames through optics and camera. Nothing here knows which effects exist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa import camera, optics
+from napari_mufasa.chance.streams import Streams
+from napari_mufasa.model.model import Model
+from napari_mufasa.model.setup import Setup
+from napari_mufasa.photophysics.chain import Chain
+from napari_mufasa.photophysics.protocols import protocol_chain
+
+Array = NDArray[np.float64]
+FieldMap = Callable[[Array, Array], Array]
+"""Relative light or background at pixel coordinates (y, x)."""
+
+
+@dataclass
+class Scene:
+    """What effects may change. Times are frame starts in s; shapes are given per attribute."""
+
+    setup: Setup
+    streams: Streams
+    chain: Chain
+    positions_px: Array  # (molecule, 2) at the first frame
+    brightness: Array  # (molecule,) collected photons relative to the model's
+    time_s: Array  # (frame,)
+    light: Array  # (frame,) relative excitation
+    sigma_px: Array  # (frame, 2) PSF standard deviations (y, x)
+    shift_px: Array  # (frame, 2) motion common to all molecules
+    background: Array  # (frame,) relative background, on top of the light's course
+    light_field: list[FieldMap] = field(default_factory=list)  # excitation across the field: spots and background
+    background_field: list[FieldMap] = field(default_factory=list)  # background only
+    walk_px: NDArray[np.float32] | None = None  # (frame, molecule, 2) motion of each molecule
+    oblique: tuple[float, float] | None = None  # ln of the PSF's axes' ratio, and the direction of the long one (rad)
+    sensor: camera.SensorHooks = field(default_factory=camera.SensorHooks)
+
+    @property
+    def shape_px(self) -> tuple[int, int]:
+        return self.setup.acquisition.shape_px
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def progress(self) -> Array:
+        """(frame,) 0 at the first frame, 1 at the last."""
+        return np.linspace(0.0, 1.0, self.n_frames)
+
+    def pixel_coordinates(self) -> tuple[Array, Array]:
+        y, x = np.indices(self.shape_px, dtype=float)
+        return y, x
+
+    def centred(self, y: Array, x: Array) -> tuple[Array, Array]:
+        """Coordinates relative to the field's centre, ±1 at the edges of the longer side."""
+        height, width = self.shape_px
+        half = max(height, width) / 2
+        return (y - (height - 1) / 2) / half, (x - (width - 1) / 2) / half
+
+    def light_at(self, y: Array, x: Array) -> Array:
+        """Relative excitation at pixel coordinates."""
+        return _product(self.light_field, y, x)
+
+    def drive(self) -> Array:
+        """(molecule,) relative excitation at each molecule's first position."""
+        return self.light_at(self.positions_px[:, 0], self.positions_px[:, 1])
+
+    def background_map(self) -> Array:
+        """(y, x) background photons per pixel at relative light and course 1."""
+        y, x = self.pixel_coordinates()
+        everywhere = self.light_at(y, x) * _product(self.background_field, y, x)
+        return self.setup.optics.background_photons_per_px * everywhere
+
+    def optical(self, emission: NDArray[Any], frames: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(frame, y, x) expected photons on the detector for these frames of an emission (molecule, frame)."""
+        optical = self.setup.optics
+        share = optical.collection_efficiency * optical.brightness_correction * self.brightness
+        photons = (emission[:, frames] * share[:, None]).T
+        moves = np.any(self.shift_px[frames] != self.shift_px[frames[0]]) or self.walk_px is not None
+        at = frames if moves else frames[:1]
+        positions = self.positions_px[None] + self.shift_px[at, None]
+        if self.walk_px is not None:
+            positions = positions + self.walk_px[at]
+        if self.oblique is not None:
+            photons, positions = optics.elongated(photons, positions, self.sigma_px[frames], *self.oblique)
+            moves = len(positions) > 1
+        if optical.high_resolution_factor is None:
+            image = optics.spot_images(photons, positions, self.sigma_px[frames], self.shape_px)
+        else:
+            image = np.stack(
+                [
+                    optics.image_on_grid(
+                        photons[i], positions[i if moves else 0], tuple(self.sigma_px[f]), self.shape_px,
+                        optical.high_resolution_factor,
+                    )
+                    for i, f in enumerate(frames)
+                ]
+            ).astype(np.float32)  # fmt: skip
+        course = (self.light * self.background)[frames].astype(np.float32)
+        background = self.background_map().astype(np.float32)
+        for picture, level in zip(image, course, strict=True):
+            picture += level * background
+        return image
+
+    def record(self, emission: NDArray[Any], start: int, stop: int) -> Recording:
+        """Frames start … stop−1 of the movie and their optical images; memory is that of the block."""
+        frames = np.arange(max(0, start - self.sensor.memory_frames), stop)
+        image = self.optical(emission, frames)
+        adu = camera.expose(image, self.setup.camera, self.streams, frames, self.sensor)
+        return Recording(image[start - frames[0] :], adu[start - frames[0] :])
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A block of frames: expected photons (frame, y, x) float32 and ADU (frame, y, x) uint16."""
+
+    optical: NDArray[np.float32]
+    movie: NDArray[np.uint16]
+
+
+def build_scene(model: Model, positions_px: NDArray[np.floating[Any]], streams: Streams) -> Scene:
+    """The scene of a model with molecules at `positions_px` (molecule, 2), effects applied."""
+    n = model.acquisition.n_frames
+    scene = Scene(
+        setup=model,
+        streams=streams,
+        chain=protocol_chain(model),
+        positions_px=np.asarray(positions_px, dtype=np.float64).reshape(-1, 2),
+        brightness=np.ones(len(positions_px)),
+        time_s=np.arange(n, dtype=np.float64) * model.acquisition.interval_s,
+        light=np.ones(n),
+        sigma_px=np.full((n, 2), model.sigma_px),
+        shift_px=np.zeros((n, 2)),
+        background=np.ones(n),
+    )
+    for effect in model.effects:
+        effect.apply(scene, streams.of(f"effect {effect.kind}"))
+    return scene
+
+
+def _product(fields: list[FieldMap], y: Array, x: Array) -> Array:
+    result = np.ones(np.shape(y))
+    for field_map in fields:
+        result = result * field_map(y, x)
+    return result

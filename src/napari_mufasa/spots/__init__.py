@@ -1,0 +1,1 @@
+"""Where molecules are, how they move, and their light in each frame."""

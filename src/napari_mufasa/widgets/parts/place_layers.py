@@ -1,0 +1,185 @@
+"""Layers that show where the model fails, and its movie beside the measured one."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from napari_mufasa.discover.places import MOLECULE_WORDS, WORDS, Places, place_of
+from napari_mufasa.files.movies import METADATA_KEY
+from napari_mufasa.widgets.parts.layers import PLACE, add_movie, points_on
+from napari_mufasa.widgets.turns.gently import gently, without_labels
+
+if TYPE_CHECKING:
+    from napari.layers import Image, Points
+    from napari.viewer import Viewer
+
+SD_SHOWN = 6.0  # the colours' ends
+GAP_PX = 4
+
+
+class PlaceLayers:
+    """A map and a layer of molecules with the misfit of the chosen observable, and the movie of the model as it stands.
+
+    Layers are kept and given new data where they can be: napari needs a quarter of a second to make one.
+    """
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.viewer = viewer
+        self._layers: dict[str, Any] = {}
+
+    @property
+    def map(self) -> Image | None:
+        return self._alive("map")
+
+    @property
+    def molecules(self) -> Points | None:
+        return self._alive("molecules")
+
+    @property
+    def simulated(self) -> Image | None:
+        return self._alive("simulated")
+
+    @property
+    def showing(self) -> bool:
+        """Whether a place is shown."""
+        return any(layer is not None and layer.visible for layer in (self.map, self.molecules))
+
+    def clear(self) -> Generator[None, None, None]:
+        """Take all away, one at a time: napari collects its garbage at each."""
+        for name in ("map", "molecules", "simulated"):
+            if self._alive(name) is not None:
+                self._remove(name)
+                yield
+
+    def hide_place(self) -> None:
+        for layer in (self.map, self.molecules):
+            if layer is not None:
+                layer.visible = False
+
+    def hide_simulated(self) -> None:
+        self._remove("simulated")
+
+    def show(self, observable: str, places: Places, movie: Image, first_frame: int = 0) -> str:
+        """Show the place of an observable on top of `movie`; says in words what is shown."""
+        self.hide_place()
+        name = place_of(observable)
+        if name.startswith("molecules:"):
+            return self._show_molecules(name.removeprefix("molecules:"), places, movie)
+        if name == "frames":
+            worst = int(np.argmax(np.abs(places.frames)))
+            self._go_to(worst + first_frame, movie)
+            return f"Frame {worst + first_frame} is farthest off: {places.frames[worst]:+.1f} sd in its mean."
+        if name not in places.maps:
+            return ""
+        return self._show_map(name, places, movie, first_frame)
+
+    def show_simulated(self, places: Places, movie: Image, name: str, first_frame: int = 0) -> None:
+        """The model's movie to the right of the measured one, at the same height and in the same contrast."""
+        here = _at(places, movie)
+        right = (movie.data.shape[-1] + GAP_PX) * movie.scale[-1]
+        space = {
+            "scale": tuple(movie.scale), "units": movie.units,
+            "translate": (movie.translate[0] + first_frame * movie.scale[0], here[0], here[1] + right),
+        }  # fmt: skip
+        layer = self.simulated
+        if layer is None:
+            self._layers["simulated"] = add_movie(
+                self.viewer, places.simulated, name, space, places.model, contrast_limits=movie.contrast_limits,
+                colormap=movie.colormap.name, role="simulated",
+            )  # fmt: skip
+            self.viewer.layers.selection.active = movie
+            self.viewer.reset_view()
+        else:
+            layer.data, layer.name, layer.translate = places.simulated, name, space["translate"]
+            layer.metadata[METADATA_KEY]["model"] = places.model.to_dict()
+
+    # kinds of places --------------------------------------------------------------------------------
+    def _show_map(self, name: str, places: Places, movie: Image, first_frame: int) -> str:
+        z = places.maps[name]
+        z = z if z.ndim == 3 else z[np.newaxis]  # one image for all frames, or one for each stretch
+        long, step = places.n_frames / len(z), float(movie.scale[0])
+        space: dict[str, Any] = {
+            "scale": (long * step, *movie.scale[-2:]),
+            "translate": (float(movie.translate[0]) + (first_frame + (long - 1) / 2) * step, *_at(places, movie)),
+            "name": f"where: {WORDS[name]}",
+        }
+        layer = self.map
+        if layer is None:
+            with gently(self.viewer):
+                layer = self._layers["map"] = self.viewer.add_image(
+                    z, **space, units=movie.units, colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN),
+                    metadata={METADATA_KEY: {"role": PLACE}},
+                )  # fmt: skip
+                layers = self.viewer.layers
+                layers.move(layers.index(layer), layers.index(movie) + 1)  # below the molecules
+                layers.selection.active = movie
+        else:
+            layer.data = z
+            for key, value in space.items():
+                setattr(layer, key, value)
+            layer.visible = True
+        frames = ""
+        if len(z) > 1:
+            worst = int(np.argmax(np.square(z).mean(axis=(1, 2))))
+            start, stop = round(worst * long), round((worst + 1) * long) - 1
+            frames = f"; frames {start + first_frame} … {stop + first_frame} are farthest off"
+            self._go_to((start + stop) // 2 + first_frame, movie)
+        off = float((np.abs(z) > 4).mean())
+        return (
+            f"Layer “{layer.name}”: measured − model in sd (green more, pink less); "
+            f"{off:.1%} of the pixels are more than 4 sd off{frames}."
+        )
+
+    def _show_molecules(self, number: str, places: Places, movie: Image) -> str:
+        table = places.molecules
+        if not len(table) or number not in table:
+            return "No molecule was found to show this on."
+        z = table[number].to_numpy(float)
+        name = f"where: {MOLECULE_WORDS[number]}"
+        layer, positions = self.molecules, table[["y_px", "x_px"]].to_numpy(float)
+        if layer is None:
+            layer = self._layers["molecules"] = points_on(
+                movie, positions, {"sd": z}, name, opacity=0.8, size=5.0 * float(places.model.sigma_px),
+                face_color="sd", face_colormap="PiYG", face_contrast_limits=(-SD_SHOWN, SD_SHOWN),
+                border_color="gray", border_width=0.05, metadata={METADATA_KEY: {"role": PLACE}},
+            )  # fmt: skip
+            with gently(self.viewer):
+                self.viewer.add_layer(layer)
+                self.viewer.layers.selection.active = movie
+            without_labels(self.viewer, layer)
+        else:
+            if not np.array_equal(layer.data, positions):  # after another effect was added they may be other ones
+                layer.data = positions
+            layer.features, layer.name, layer.visible = {"sd": z}, name, True
+            layer.refresh_colors()
+        worst = table.iloc[int(np.argmax(np.abs(z)))]
+        return (
+            f"Layer “{name}”: each molecule against the model's (green more, pink less); "
+            f"{int((np.abs(z) > 3).sum())} of {len(z)} are more than 3 sd off, farthest at "
+            f"y {worst['y_px']:.0f}, x {worst['x_px']:.0f} px."
+        )
+
+    def _go_to(self, frame: int, movie: Image) -> None:
+        """Show a frame, counted in the movie's own frames."""
+        if movie.ndim == 3:
+            self.viewer.dims.set_point(0, float(movie.translate[0] + frame * movie.scale[0]))
+
+    def _alive(self, name: str) -> Any:
+        """The layer, unless the user has taken it out."""
+        layer = self._layers.get(name)
+        return layer if layer is not None and layer in self.viewer.layers else None
+
+    def _remove(self, name: str) -> None:
+        layer = self._alive(name)
+        self._layers.pop(name, None)
+        if layer is not None:
+            self.viewer.layers.remove(layer)
+
+
+def _at(places: Places, movie: Image) -> tuple[float, float]:
+    """World place (y, x) of the first pixel that was looked at."""
+    y, x = movie.translate[-2:] + np.asarray(places.offset_px) * movie.scale[-2:]
+    return float(y), float(x)

@@ -1,0 +1,1 @@
+"""The steps, each a widget over a typed function."""
