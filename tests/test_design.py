@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from tests.spec_example import MODEL
 
-from napari_mufasa import MufasaError, camera, compare, preset, simulate, simulate_emission
+from napari_mufasa import MufasaError, camera, compare, extract_traces, preset, simulate, simulate_emission
 from napari_mufasa.design.predict import design, predict
 from napari_mufasa.model.model import Model
+from napari_mufasa.report.words import derived_values
 
 EXAMPLE = Model.from_dict(MODEL)
 
@@ -46,22 +49,70 @@ def test_duty_cycle_and_dark_time_of_a_blinking_molecule():
     assert told.bleaching_time_s is None
 
 
-@pytest.mark.parametrize("name", ["EMCCD", "CCD", "CMOS"])
-def test_signal_and_noise_of_the_peak_pixel(name):
+def recorded_by(name: str) -> Model:
+    """The example with another camera, 3000 small frames."""
     changes = {"acquisition.n_frames": 3000, "acquisition.shape_px": (15, 15)}
     if name != "EMCCD":
         changes |= {"camera.type": name, "camera.em_gain": None, "camera.read_noise_e": 3.0}
         changes |= {"camera.electrons_per_adu": 0.5}
-    model = EXAMPLE.with_values(changes)
+    return EXAMPLE.with_values(changes)
+
+
+@pytest.mark.parametrize("name", ["EMCCD", "CCD", "CMOS"])
+def test_signal_and_noise_of_the_peak_pixel(name):
+    model = recorded_by(name)
     told = predict(model)
     movie = simulate(model, positions_px=np.array([[7.0, 7.0]]), seed=4).movie[:, 7, 7]
     electrons = camera.photoelectrons(movie[:, None, None], model.camera).ravel()
     background_e = model.camera.quantum_efficiency * model.optics.background_photons_per_px
-    # The molecule's own photon number adds nothing beyond Poisson (FF without bleaching). Means of 3000 frames
-    # have a relative sd below 1 %, sds of 1.3 %; the tolerance is four of them.
+    # Means of 3000 frames have a relative sd below 1 %, sds of 1.3 %; the tolerance is four of them.
     assert electrons.mean() - background_e == pytest.approx(told.peak_pixel_e, abs=4 * electrons.std() / np.sqrt(3000))
     assert electrons.std() == pytest.approx(told.peak_pixel_e / told.snr_peak_pixel, rel=0.06)
     assert movie.mean() == pytest.approx(told.peak_pixel_adu, abs=0.6 + 4 * movie.std() / np.sqrt(3000))
+
+
+@pytest.mark.parametrize("name", ["EMCCD", "CCD"])
+@pytest.mark.parametrize("power", [10, 300])
+def test_signal_and_noise_of_the_whole_spot_are_those_of_its_trace(name, power):
+    # At 300 W/cm² the spot's own noise is nearly all of it: a PSF fitted without weights has 4/3 of the variance of its
+    # detection, and all of that of its emission.
+    model = recorded_by(name).with_values({"excitation.power_density_w_per_cm2": power})
+    told = predict(model)
+    place = np.array([[7.0, 7.0]])
+    movie = simulate(model, positions_px=place, seed=4).movie
+    found = extract_traces(
+        movie, model.camera, positions_px=place, psf_sigma_px=model.sigma_px, subtract_background=False
+    )
+    # The sd of 3000 frames is known to 1.3 %, of multiplied electrons (longer tails) to 1.5 %; four of them.
+    assert found.all_traces[0].std() == pytest.approx(told.detected_e_per_frame / told.snr_spot, rel=0.06)
+
+
+@pytest.mark.parametrize("name", ["FF", "Blinking", "STORM", "PALM"])
+def test_the_viewers_numbers_are_those_of_the_prediction(name):
+    model = preset(name)
+    told, rows = predict(model), {row: value for row, value, _ in derived_values(model)}
+
+    def shown(row: str) -> float:
+        return float(re.match(r"[-+.e\d]+", rows[row]).group())
+
+    close = {"rel": 0.006}  # three digits are shown, of ratios two
+    assert shown("Excitation rate k01") == pytest.approx(told.k01_per_s, **close)
+    assert shown("Photons emitted") == pytest.approx(told.emitted_photons_per_frame, **close)
+    assert shown("Photons collected") == pytest.approx(told.collected_photons_per_frame, **close)
+    assert shown("Brightest pixel") == pytest.approx(told.peak_pixel_e, **close)
+    assert shown("Signal to noise") == pytest.approx(told.snr_peak_pixel, rel=0.06)
+    assert shown("Signal to noise, whole spot") == pytest.approx(told.snr_spot, rel=0.06)
+    assert shown("Bleaching after") == pytest.approx(told.bleaching_time_s, **close)
+    assert shown("Movie length") == pytest.approx(told.movie_s, **close)
+
+
+def test_a_camera_without_noise_in_the_dark_is_predicted():
+    dark = EXAMPLE.with_values(
+        {"excitation.power_density_w_per_cm2": 0, "optics.background_photons_per_px": 0,
+         "camera.clock_induced_charge_e": 0, "camera.read_noise_e": 0}
+    )  # fmt: skip
+    assert predict(dark).snr_peak_pixel == 0
+    assert ("Photons emitted", "0 per frame") in [row[:2] for row in derived_values(dark)]
 
 
 def test_w1_floor_is_that_of_two_halves():

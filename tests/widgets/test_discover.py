@@ -12,7 +12,7 @@ import pytest
 from qtpy.QtCore import Qt
 
 from napari_mufasa.model.model import Model
-from napari_mufasa.report.telling import headline, matching_curve
+from napari_mufasa.report.words import headline, matching_curve
 from napari_mufasa.widgets.steps.discover import DiscoverPanel
 from napari_mufasa.widgets.turns.session import session_of
 

@@ -31,10 +31,12 @@ class Prediction:
     Attributes
     ----------
     k01_per_s : excitation rate
-    emitted_photons_per_frame, detected_e_per_frame : of a molecule that is bright for the whole frame
+    emitted_photons_per_frame, collected_photons_per_frame, detected_e_per_frame : of a molecule that is bright for
+        the whole frame: in all directions, on the detector, as photoelectrons
     peak_pixel_e, peak_pixel_adu : its signal in the pixel it is centred on (ADU: with baseline and background)
-    snr_peak_pixel, snr_spot : signal over noise in a frame, in that pixel and with the spot's pixels weighted
-        by the PSF; shot noise with the camera's multiplication noise, background and read noise included
+    snr_peak_pixel, snr_spot : signal over noise in a frame, in that pixel and fitted with the PSF over the whole
+        spot (what `extract_traces` does); noise of emission and detection, the camera's multiplication, background
+        and read noise included; infinite without any noise
     on_time_s, dark_time_s : mean visit to the bright and to the dark state
     duty_cycle : share of its life the molecule is bright
     bleaching_time_s : mean time until bleaching, dark times and activation included
@@ -42,10 +44,12 @@ class Prediction:
     bleached_by_the_end : share of molecules bleached when the movie ends
     w1_floor_e : Wasserstein distance expected between two halves of the movie's frames (independent frames)
     smallest_change : relative change of brightness whose distance equals that floor
+    movie_s : length of the movie
     """
 
     k01_per_s: float
     emitted_photons_per_frame: float
+    collected_photons_per_frame: float
     detected_e_per_frame: float
     peak_pixel_e: float
     peak_pixel_adu: float
@@ -59,6 +63,7 @@ class Prediction:
     bleached_by_the_end: float | None
     w1_floor_e: float
     smallest_change: float | None
+    movie_s: float
 
 
 def predict(model: Model) -> Prediction:
@@ -76,7 +81,8 @@ def predict(model: Model) -> Prediction:
     returns = dark_s is not None or not blinks  # a triplet without decay never comes back
     duty = 1 / (1 + off_rate * dark_s) if dark_s is not None else 1.0
 
-    detected_share = optics.collection_efficiency * optics.brightness_correction * model.camera.quantum_efficiency
+    collected_share = optics.collection_efficiency * optics.brightness_correction
+    detected_share = collected_share * model.camera.quantum_efficiency
     emitted = dye.quantum_yield * k10 * excited * timing.frame_length_s
     detected = emitted * detected_share
     bleach_s = None
@@ -86,17 +92,20 @@ def predict(model: Model) -> Prediction:
             waiting = 1 / light.activation_rate_per_s
         bleach_s = waiting + 1 / (bleach_rate * duty)
     leaving = off_rate + bleach_rate
-    pixels = _spot(model, detected)
+    # Detection adds its own Poisson noise to that of the emission (SPEC.md §4), of which the optics say the share.
+    emission_e2 = optics.emission_noise * detected * detected_share
+    pixels = _spot(model, detected, emission_e2)
     floor = _w1_floor_e(model, detected, duty, pixels.spot_noise_e, pixels.empty_noise_e)
     movie_s = timing.n_frames * timing.interval_s
     return Prediction(
         k01_per_s=k01,
         emitted_photons_per_frame=emitted,
+        collected_photons_per_frame=emitted * collected_share,
         detected_e_per_frame=detected,
         peak_pixel_e=pixels.peak_e,
         peak_pixel_adu=pixels.peak_adu,
-        snr_peak_pixel=pixels.peak_e / pixels.peak_noise_e,
-        snr_spot=detected / pixels.spot_noise_e,
+        snr_peak_pixel=_over_noise(pixels.peak_e, pixels.peak_noise_e),
+        snr_spot=_over_noise(detected, pixels.spot_noise_e),
         on_time_s=1 / leaving if leaving > 0 else None,
         dark_time_s=dark_s,
         duty_cycle=duty,
@@ -105,7 +114,12 @@ def predict(model: Model) -> Prediction:
         bleached_by_the_end=float(-np.expm1(-movie_s * bleach_rate * duty)) if k1b else None,
         w1_floor_e=floor,
         smallest_change=floor / (detected * duty) if detected > 0 else None,
+        movie_s=movie_s,
     )
+
+
+def _over_noise(signal: float, noise: float) -> float:
+    return signal / noise if noise > 0 else float("inf") if signal > 0 else 0.0
 
 
 def design(model: Model, vary: Mapping[str, Sequence[Any]] | None = None) -> pd.DataFrame:
@@ -138,7 +152,8 @@ class _Spot:
     empty_noise_e: float
 
 
-def _spot(model: Model, detected_e: float) -> _Spot:
+def _spot(model: Model, detected_e: float, emission_e2: float) -> _Spot:
+    """``emission_e2``: variance of the whole spot's light, by the emission alone."""
     from scipy.special import erf
 
     camera = model.camera
@@ -146,7 +161,9 @@ def _spot(model: Model, detected_e: float) -> _Spot:
     edge = erf(np.stack([offsets_px - 0.5, offsets_px + 0.5]) / (np.sqrt(2) * model.sigma_px))
     line = (edge[1] - edge[0]) / 2
     centre = float(line[50] ** 2)
-    n_pixels = 1 / float(np.sum(line**2) ** 2)  # noise-equivalent number of pixels of the PSF-weighted sum
+    n_pixels = 1 / float(np.sum(line**2) ** 2)  # noise-equivalent number of pixels of the PSF fitted by least squares
+    # The spot's own shot noise is largest at its centre, where the weights are.
+    own_share = n_pixels**2 * float(np.sum(line**3) ** 2)
     gain = float(camera.em_gain or 1.0)
     read_e2 = camera.read_noise_e**2
     if camera.variance_map_e2 is not None:
@@ -166,21 +183,23 @@ def _spot(model: Model, detected_e: float) -> _Spot:
     return _Spot(
         peak_e=peak,
         peak_adu=min(out_e / camera.electrons_per_adu + camera.baseline_adu, camera.adc_max),
-        peak_noise_e=float(np.sqrt(alpha * (peak + dark_e) + read_e2)),
-        spot_noise_e=float(np.sqrt(alpha * (detected_e + n_pixels * dark_e) + n_pixels * read_e2)),
+        peak_noise_e=float(np.sqrt(alpha * (peak + dark_e) + emission_e2 * centre**2 + read_e2)),
+        spot_noise_e=float(
+            np.sqrt(alpha * own_share * detected_e + emission_e2 + n_pixels * (alpha * dark_e + read_e2))
+        ),
         empty_noise_e=float(np.sqrt(n_pixels * (alpha * dark_e + read_e2))),
     )
 
 
 def _w1_floor_e(model: Model, on_e: float, duty: float, on_noise_e: float, off_noise_e: float) -> float:
     """E|F₁ − F₂| integrated: for two halves of M samples, √(2/π)·√(4/M)·∫√(F(1−F))."""
-    from scipy.stats import norm
+    from scipy.special import ndtr
 
     samples = max(2, model.sample.n_molecules * model.acquisition.n_frames)
     width = max(on_noise_e, off_noise_e)
     if width <= 0:
         return 0.0
     e = np.linspace(min(0.0, on_e) - 8 * width, on_e + 8 * width, 4001)
-    below = duty * norm.cdf((e - on_e) / max(on_noise_e, 1e-9)) + (1 - duty) * norm.cdf(e / max(off_noise_e, 1e-9))
+    below = duty * ndtr((e - on_e) / max(on_noise_e, 1e-9)) + (1 - duty) * ndtr(e / max(off_noise_e, 1e-9))
     spread = np.trapezoid(np.sqrt(np.clip(below * (1 - below), 0, None)), e)
     return float(np.sqrt(2 / np.pi) * np.sqrt(4 / samples) * spread)

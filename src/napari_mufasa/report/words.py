@@ -1,15 +1,21 @@
-"""What effects, parameters and numbers are called in figures, reports and the viewer."""
+"""What effects, parameters and numbers are called, in figures, reports, the terminal and the viewer. No Qt here."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from napari_mufasa.discover.result import Candidate, Report
+    from collections.abc import Sequence
+
+    from napari_mufasa.discover.result import Candidate, Curve, Report
+    from napari_mufasa.model.model import Model
 
 
+# effects, parameters, numbers ------------------------------------------------------------------------------
 def effect_title(kind: str) -> str:
     """What users call an effect; its identifier where it is not installed."""
     from napari_mufasa.effects import effect_class
@@ -53,6 +59,70 @@ def p_value_text(p_value: float | None) -> str:
     return f"p = {p_value:.2g}" if p_value >= 1e-4 else "p < 0.0001"
 
 
+def parameter_lines(candidate: Candidate) -> list[str]:
+    """Every parameter with value, sd and unit: "distance = 1.52 ± 0.04 px"."""
+    lines = []
+    for name, value in candidate.parameters.items():
+        if name == "kind" or value == ():
+            continue
+        if isinstance(value, (tuple, list)):
+            lines.append(f"{parameter_label(candidate.effect, name)[0]}: {len(value)} values, read off the movie")
+            continue
+        label, unit = parameter_label(candidate.effect, name)
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        told = number(float(value), candidate.parameters_sd.get(name)) if is_number else str(value).replace("_", " ")
+        lines.append(f"{label} = {told} {unit}".rstrip())
+    return lines
+
+
+# a model ---------------------------------------------------------------------------------------------------
+def derived_values(model: Model) -> list[tuple[str, str, str]]:
+    """(name, value with unit, explanation) of what a model implies: its `Prediction` in an experimenter's words."""
+    from napari_mufasa.design.predict import predict
+
+    told = predict(model)
+    rows = [
+        ("Excitation rate k01", f"{_short(told.k01_per_s)} /s", "from ε, power density and wavelength"),
+        (
+            "Photons emitted",
+            f"{_short(told.emitted_photons_per_frame)} per frame",
+            "by one molecule that is on for the whole frame",
+        ),
+        (
+            "Photons collected",
+            f"{_short(told.collected_photons_per_frame)} per frame",
+            "of those, what reaches the detector",
+        ),
+        ("Brightest pixel", f"{_short(told.peak_pixel_e)} e⁻", "photoelectrons of one molecule in its centre pixel"),
+        ("Signal to noise", _ratio(told.snr_peak_pixel), "brightest pixel, one frame"),
+        ("Signal to noise, whole spot", _ratio(told.snr_spot), "the PSF fitted to one frame, as traces are made"),
+    ]
+    if told.bleaching_time_s is not None:
+        frames = told.bleaching_time_s / model.acquisition.interval_s
+        rows.append(
+            (
+                "Bleaching after",
+                f"{_short(told.bleaching_time_s)} s ({_short(frames)} frames)",
+                "mean time until a molecule bleaches, its dark times included",
+            )
+        )
+    rows.append(("Movie length", f"{_short(told.movie_s)} s", "number of frames × frame interval"))
+    return rows
+
+
+def _short(value: float) -> str:
+    if value == 0 or not np.isfinite(value):
+        return f"{value:g}"
+    if abs(value) >= 1e5 or abs(value) < 1e-2:
+        return f"{value:.2e}"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2g}" if np.isfinite(value) else "∞"
+
+
+# a diagnosis -----------------------------------------------------------------------------------------------
 def verdict_text(report: Report) -> tuple[str, str]:
     """The verdict in plain words: one line, and one sentence on the error behind it."""
     before, after, floor = (report.error.get(key) for key in ("before", "after", "floor"))
@@ -62,7 +132,7 @@ def verdict_text(report: Report) -> tuple[str, str]:
     fall = f"The error on held-out data falls from {_two(before)} to {_two(after)}; noise alone gives {_two(floor)}."
     chosen = " and ".join(in_text(kind) for kind in report.chosen)
     if report.verdict == "missing_effect" and not report.chosen:
-        return lead_text(report)
+        return _lead(report)
     if report.verdict == "missing_effect":
         return f"Missing from the model: {chosen}.", fall
     if report.chosen:
@@ -73,7 +143,27 @@ def verdict_text(report: Report) -> tuple[str, str]:
     return line, f"The error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
 
 
-def lead_text(report: Report) -> tuple[str, str]:
+def headline(report: Report) -> tuple[str, str]:
+    """`verdict_text` while effects are still being added by hand.
+
+    Before anything was added it says what adding the best effect would do; after an addition that did not lower the
+    error, that it can be taken out.
+    """
+    best = report.ranking[0] if report.ranking else None
+    before, after, floor = (report.error.get(key) for key in ("before", "after", "floor"))
+    added = report.chosen and report.verdict != "adequate"
+    if added and before is not None and after is not None and after >= before:
+        return (
+            f"{effect_title(report.chosen[-1])} does not lower the error: Undo takes it out.",
+            f"The error on held-out data was {_two(before)}, it is {_two(after)}; noise alone gives {_two(floor)}.",
+        )
+    may_lead = report.verdict != "adequate" and not report.chosen and before is not None
+    if may_lead and best is not None and best.error_after is not None:
+        return _lead(report)
+    return verdict_text(report)
+
+
+def _lead(report: Report) -> tuple[str, str]:
     """What adding the best effect would do, where none was added."""
     best, before = report.ranking[0], report.error["before"]
     gives = f"noise alone gives {_two(report.error.get('floor'))}."
@@ -91,22 +181,6 @@ def chosen_candidates(report: Report) -> list[Candidate]:
     return [by_kind[kind] for kind in report.chosen if kind in by_kind]
 
 
-def parameter_lines(candidate: Candidate) -> list[str]:
-    """Every parameter with value, sd and unit: "distance = 1.52 ± 0.04 px"."""
-    lines = []
-    for name, value in candidate.parameters.items():
-        if name == "kind" or value == ():
-            continue
-        if isinstance(value, (tuple, list)):
-            lines.append(f"{parameter_label(candidate.effect, name)[0]}: {len(value)} values, read off the movie")
-            continue
-        label, unit = parameter_label(candidate.effect, name)
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        told = number(float(value), candidate.parameters_sd.get(name)) if is_number else str(value).replace("_", " ")
-        lines.append(f"{label} = {told} {unit}".rstrip())
-    return lines
-
-
 def summary(report: Report) -> list[str]:
     """A diagnosis in a few lines, for a terminal."""
     line, sentence = verdict_text(report)
@@ -116,6 +190,79 @@ def summary(report: Report) -> list[str]:
         if candidate.indistinguishable_from:
             lines.append(f"  {candidate.effect}: not told from {', '.join(candidate.indistinguishable_from)}")
     return lines
+
+
+@dataclass(frozen=True)
+class EffectWords:
+    """An effect's case in words; `alike` and `separated_by` say what these data cannot tell it from."""
+
+    title: str
+    what_it_is: str
+    what_it_does: str
+    how_to_check: str
+    fitted: list[str]
+    alike: str
+    separated_by: str
+
+
+def effect_words(candidate: Candidate) -> EffectWords:
+    """What the effect is, its fitted numbers, what to check at the microscope. Empty where nothing is known."""
+    from napari_mufasa.effects import catalogue
+
+    effect = catalogue().get(candidate.effect)
+    return EffectWords(
+        title=effect_title(candidate.effect),
+        what_it_is=effect.what_it_is if effect is not None else "",
+        what_it_does=effect.what_it_does if effect is not None else "",
+        how_to_check=effect.how_to_check if effect is not None else "",
+        fitted=parameter_lines(candidate),
+        alike=", ".join(in_text(kind) for kind in candidate.indistinguishable_from),
+        separated_by=effect.separated_by if effect is not None else "",
+    )
+
+
+def words_of(candidate: Candidate) -> str:
+    """`effect_words` as rich text for the viewer."""
+    words = effect_words(candidate)
+    lines = [escape(f"{words.what_it_is} {words.what_it_does}".strip())]
+    if words.fitted:
+        lines.append(f"<b>Fitted:</b> {escape(', '.join(words.fitted))}")
+    if words.alike:
+        separate = f" To separate: {words.separated_by}." if words.separated_by else ""
+        lines.append(f"<b>Cannot be told apart from:</b> {escape(words.alike)}.{escape(separate)}")
+    if words.how_to_check:
+        lines.append(f"<b>Check:</b> {escape(words.how_to_check)}")
+    return "<br>".join(line for line in lines if line)
+
+
+def observable_text(row: Any, completed: bool) -> str:
+    """One row of `Report.observables` in numbers, as rich text; `completed` once an effect was added."""
+    unit = f" {row['unit']}" if row["unit"] else ""
+    model = f"model {row['before']:.3g} ± {row['sd']:.2g}{unit}"
+    return f"<b>{escape(str(row['title']))}</b>: measured {row['measured']:.3g}, {escape(model)}" + (
+        f" · now {row['after']:.3g}" if completed else ""
+    )
+
+
+def matching_curve(observable: str, curves: Sequence[Curve]) -> Curve | None:
+    """The curve an observable belongs to: the one whose name it starts with (the longest such)."""
+    fitting = [curve for curve in curves if observable.startswith(curve.name)]
+    return max(fitting, key=lambda curve: len(curve.name), default=None)
+
+
+def detectable_rows(report: Report) -> list[tuple[str, str, str, str]]:
+    """(kind, title, smallest strength that would have shown, what it does) of each effect, those that show first."""
+    from napari_mufasa.effects import catalogue
+
+    rows = []
+    for kind, strength in sorted(report.detectable.items(), key=lambda item: (item[1] is None, effect_title(item[0]))):
+        effect = catalogue().get(kind)
+        words = "not at any plausible strength"
+        if strength is not None:
+            label, unit = parameter_label(kind, effect.strength) if effect is not None else ("strength", "")
+            words = f"{label} ≥ {strength:.2g} {unit}".strip()
+        rows.append((kind, effect_title(kind), words, effect.what_it_does if effect is not None else ""))
+    return rows
 
 
 def _two(value: object) -> str:

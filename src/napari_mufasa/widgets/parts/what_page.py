@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from qtpy.QtCore import Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QCheckBox, QHBoxLayout, QPushButton, QTextBrowser, QVBoxLayout, QWidget
 
-from napari_mufasa.report.telling import detectable_rows, title_of, words_of
-from napari_mufasa.report.words import in_text
+from napari_mufasa.report.words import detectable_rows, effect_title, in_text, words_of
 from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.parts.tables import add_row, table
 
@@ -64,7 +63,11 @@ class WhatPage(QWidget):
         self.ranking.setRowCount(0)
         for candidate in report.ranking:
             after = candidate.error_after
-            cells = [title_of(candidate.effect), f"{candidate.evidence:.0f}", "–" if after is None else f"{after:.2f}"]
+            cells = [
+                effect_title(candidate.effect),
+                f"{candidate.evidence:.0f}",
+                "–" if after is None else f"{after:.2f}",
+            ]
             add_row(self.ranking, [*cells, f"{candidate.p_value:.1g}"], words_of(candidate), candidate.effect)
         self.ranking.blockSignals(False)
         if report.ranking:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from qtpy.QtCore import Qt, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QCheckBox, QLabel, QVBoxLayout, QWidget
 
-from napari_mufasa.report.telling import matching_curve, told
+from napari_mufasa.report.words import matching_curve, observable_text
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.parts.tables import add_row, table
@@ -89,7 +89,7 @@ class WherePage(QWidget):
         assert self.report is not None
         observables, curve = self.report.observables, matching_curve(name, self.report.curves)
         row = observables[observables["observable"] == name]
-        title = told(row.iloc[0], bool(self.report.chosen)) if len(row) else ""
+        title = observable_text(row.iloc[0], bool(self.report.chosen)) if len(row) else ""
         if curve is None:  # a single number: it is shown among the others
             self.curve.draw(lambda figure: _draw_all(figure, observables), observables, title)
         else:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from qtpy.QtWidgets import QFileDialog, QLabel, QPushButton
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.report.telling import headline
-from napari_mufasa.report.words import in_text
+from napari_mufasa.report.words import headline, in_text
 from napari_mufasa.widgets.parts.panel import MovieChooser, Panel, Tabs, seed_row
 from napari_mufasa.widgets.parts.place_layers import PlaceLayers
 from napari_mufasa.widgets.parts.plot import PlotCanvas

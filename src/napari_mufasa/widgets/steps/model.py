@@ -180,7 +180,7 @@ class DerivedValues(QLabel):
         self.refresh()
 
     def refresh(self) -> None:
-        from napari_mufasa.design.derived import derived_values
+        from napari_mufasa.report.words import derived_values
 
         rows = derived_values(self.session.model)
         cells = "".join(f"<tr><td>{n}&nbsp;&nbsp;</td><td><b>{v}</b></td></tr>" for n, v, _ in rows)
