@@ -13,7 +13,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Literal
 
@@ -26,6 +26,7 @@ from benchmarks.denoise_risk import honest_ratio
 from benchmarks.scenes import PSF_SIGMA_PX, REAL_DATA, emccd, filaments, photograph, spots
 from napari_mufasa.camera.detector import photoelectrons
 from napari_mufasa.denoise import pure_let, pure_let_movie, pure_let_traces
+from napari_mufasa.denoise.noise import Noise
 from napari_mufasa.denoise.pipeline import Method, source_recipe
 from napari_mufasa.denoise.preview import Preview
 from napari_mufasa.denoise.purelet import Method as PureLet
@@ -349,6 +350,71 @@ def multi_poisson(quick: bool) -> list[str]:
     return out
 
 
+def nlm_refined(data: Array, pilot: Array, noise: Noise) -> Array:
+    """scikit-image's non-local means in the place of `patches.refined`: white by the tangent at the pilot."""
+    from skimage.restoration import denoise_nl_means
+
+    level = np.sqrt(noise.alpha * np.maximum(pilot, 0.1 * noise.alpha) + noise.variance)
+    known = 2 / noise.alpha * level
+    white = known + (data - pilot) / level
+    smooth = denoise_nl_means(white, patch_size=5, patch_distance=7, h=0.8, sigma=1.0, fast_mode=True)
+    return np.asarray(pilot + level * (smooth - known), np.float32)
+
+
+def second_pass_table(quick: bool) -> list[str]:
+    """What `denoise/patches.py` is for, against libraries in its place: single images, PSNR and seconds."""
+    from napari_mufasa.denoise import patches
+
+    rng = np.random.default_rng(7)
+    images = [("camera", picture("camera") * peak, 1.0, 0.0) for peak in ((10,) if quick else (3, 10, 30))]
+    for name, scene in (("EMCCD spots", spots), ("EMCCD filaments", filaments)):
+        images += [(name, scene(rng, 1, 256)[0] * peak, 2.0, 50 / 300) for peak in ((10,) if quick else (3, 10, 30))]
+    out = header("image", "peak", "first pass (`undecimated`)", "`pure_let`", "NLM as second pass", "GAT + NLM",
+                 "GAT + BM3D", "seconds: first", "`pure_let`", "NLM second", "GAT + BM3D")  # fmt: skip
+    own = patches.refined
+    for name, x, alpha, sigma in images:
+        peak = float(x.max())
+        counts = rng.poisson(x)
+        y = (rng.standard_gamma(counts) if alpha == 2 else counts) + rng.normal(0, sigma, x.shape)
+        found, seconds = [], []
+        for method, second in (("undecimated", own), ("patches", own), ("patches", nlm_refined)):
+            patches.refined = second
+            run = partial(pure_let, y, alpha, sigma, method=method, multiplied=alpha == 2)
+            try:
+                seconds.append(float(timed(run, 1)[1]))
+                found.append(psnr(run(), x, peak))
+            finally:
+                patches.refined = own
+        found.append(psnr(gat_nlm(y, alpha, sigma), x, peak))
+        begin = time.process_time()
+        found.append(psnr(gat_bm3d(y, alpha, sigma), x, peak) if wanted("bm3d") else float("nan"))
+        seconds.append(time.process_time() - begin if wanted("bm3d") else float("nan"))
+        out.append(row(name, f"{peak:.0f}", *found, *seconds))
+    return [*out, "", "256 x 256 pixels, one draw each; processor seconds."]
+
+
+def single_pass_table(quick: bool) -> list[str]:
+    """What `denoise/fused.py` is for: one level of a plane with known weights, against candidate by candidate."""
+    from napari_mufasa.denoise import expansion
+    from napari_mufasa.denoise.kernels import per_level
+
+    rng = np.random.default_rng(0)
+    out = header("frame", "guides", "single pass, ms", "candidate by candidate, ms", "ratio")
+    for side in (512,) if quick else (512, 1024):
+        for n_guides in (0, 2):
+            planes = rng.poisson(5.0, (1 + n_guides, side, side)).astype(np.float32)
+            guides = expansion.Guides(planes[1:], np.array([0.5, 0.2], np.float32)[:n_guides])
+            weights = rng.normal(0, 0.2, per_level(n_guides)).astype(np.float32)
+            noise = Noise(1.0, np.zeros((1, 1), np.float32))
+            read = np.zeros((side, side), np.float32)
+            ms = [
+                1e3 * float(timed(partial(way, planes[0], read, guides, noise, weights, 1), 5)[0])
+                for way in (expansion.in_one_pass, expansion.candidate_by_candidate)
+            ]
+            out.append(row(f"{side} x {side}", n_guides, *ms, ms[1] / ms[0]))
+    return [*out, "", "One level, one thread, median of five."]
+
+
 SECTIONS: dict[str, Callable[[bool], list[str]]] = {
     "Pure Poisson, pictures 256 x 256 (PSNR, dB)": poisson_table,
     "Estimated risk over true risk": risk_table,
@@ -356,6 +422,8 @@ SECTIONS: dict[str, Callable[[bool], list[str]]] = {
     "Simulated EMCCD movies (PSNR, dB)": emccd_table,
     "Bleaching steps": step_table,
     "Real movies, odd frames predicted from even ones": real_table,
+    "Second pass of single images (PSNR, dB)": second_pass_table,
+    "Single pass": single_pass_table,
     "Time": time_table,
 }
 

@@ -321,7 +321,7 @@ def told(monkeypatch):
 
     monkeypatch.setattr(discover, "diagnose", answer)
     monkeypatch.setattr(discover, "refine", answer)
-    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: {"light": "", "dark": ""})
     monkeypatch.setattr(figures.Drawing, "render", lambda self, theme, kind="png": b"")
     return asked
 

@@ -76,7 +76,7 @@ def test_the_users_part_reads_only_the_users_files(prepared, tmp_path, monkeypat
         return report()
 
     monkeypatch.setattr(discover, "diagnose", answer)
-    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: {"light": "", "dark": ""})
     monkeypatch.setattr(figures.Drawing, "render", lambda self, theme, kind="png": b"")
     said: list[str] = []
     demo.investigate(tmp_path, said.append)

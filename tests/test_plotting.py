@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import replace
+from html.parser import HTMLParser
 
 import numpy as np
 import pandas as pd
@@ -204,6 +205,43 @@ def test_names_from_files_cannot_inject_markup(page):
     assert "Background &lt;mean&gt;" in page
 
 
+def test_names_of_files_and_layers_stay_words(monkeypatch):
+    """Wherever a name of others' may stand: a script there is text, and the page stays one tree."""
+    script = "<script>alert('x')</script>"
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: {"light": script, "dark": script})
+    monkeypatch.setattr(figures, "effect_title", lambda kind: script)
+    named = report()
+    table = named.observables.assign(title=script, where=script, unit=script)
+    unknown = replace(named.ranking[1], effect=script, parameters={script: script})
+    named = replace(
+        named, observables=table, ranking=[named.ranking[0], unknown], notes=[script], detectable={script: 1.0}
+    )
+    text = html_report.render(named, title=script, subtitle=f"{script}.tif", traces=TRACES, extra=[(script, script)])
+    tree = Tree()
+    tree.feed(text)
+    assert "script" not in tree.seen and tree.open == []
+    assert text.count("&lt;script&gt;") >= 2 * len(table) + 8
+
+
+class Tree(HTMLParser):
+    """The elements of a page; fails where one is closed that is not open."""
+
+    EMPTY = frozenset({"meta", "source", "img"})
+
+    def __init__(self):
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: set[str] = set()
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.add(tag)
+        if tag not in self.EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
 def test_the_model_on_the_page_is_the_completed_model(page):
     import html
     import json
@@ -222,7 +260,7 @@ def test_the_model_on_the_page_is_the_completed_model(page):
     ],
 )
 def test_the_other_verdicts_have_their_words(verdict, line, monkeypatch):
-    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: {"light": "", "dark": ""})
     text = html_report.render(report(verdict))
     assert line in text and "Not seen is not absent" in text
 
@@ -241,7 +279,7 @@ def test_an_effect_that_was_not_added_is_told_as_a_lead():
 def test_what_is_still_off_is_told(monkeypatch):
     import dataclasses
 
-    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: {"light": "", "dark": ""})
     off = report()
     table = off.observables.copy()
     table.loc[9, "z_after"] = 6.4
@@ -253,7 +291,7 @@ def test_export_writes_every_file_whole(tmp_path, monkeypatch):
 
     from napari_mufasa.model.model import Model
 
-    monkeypatch.setattr(html_report, "_picture", lambda drawing: "")
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: {"light": "", "dark": ""})
     html_report.export(tmp_path, report(), TRACES)
     names = {path.name for path in tmp_path.iterdir()}
     assert {"report.json", "report.html", "model.json", "observables.csv"} <= names

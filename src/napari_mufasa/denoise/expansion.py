@@ -210,46 +210,43 @@ def apply(image: Array, noise: Noise, levels: int, flat: bool, weights: Array, g
     guides = Guides(np.asarray(guides.images, np.float32).reshape(-1, *a.shape), guides.noise)
     v = np.broadcast_to(noise.variance, a.shape)
     v = np.ascontiguousarray(v, np.float32) if flat else _one_row_for_all(v)
-    down, up = (_rows_down, _rows_up) if flat else (_plane_down, _plane_up)
     gathered: list[Array] = []
     for number in range(levels):
-        w = weights[number * size : (number + 1) * size]
-        a, v, guides, out = down(a, v, guides, noise, w, 2**number)
+        w, h = weights[number * size : (number + 1) * size], 2**number
+        if flat:
+            a, v, guides, out = candidate_by_candidate(a, v, guides, noise, w, h, True)
+        else:
+            a, v, guides, out = in_one_pass(a, v, guides, noise, w, h)
         gathered.append(out)
     of_sums = weights[levels * size :]
     plane = a * np.float32(1.0 - float(of_sums.sum()))
     for weight, low in zip(of_sums, guides.images, strict=True):
         plane += weight * low
     for number in reversed(range(levels)):
-        plane = up(plane, gathered[number], 2**number)
+        if flat:
+            plane = haar.synthesise(plane, gathered[number], 2**number, True)
+        else:
+            settle(plane, gathered[number], 2**number)
+            plane = gathered[number]
     return plane
 
 
-def _rows_down(
-    a: Array, v: Array, guides: Guides, noise: Noise, w: Array, h: int
+def candidate_by_candidate(
+    a: Array, v: Array, guides: Guides, noise: Noise, w: Array, h: int, flat: bool = False
 ) -> tuple[Array, Array, Guides, Array]:
-    """One level of rows: block sums, their variance, those of the guides, and the estimated details."""
-    bands, v, guides = _analysed(a, v, guides, noise, h, True)
+    """One level with known weights: block sums, their variance, those of the guides, and the estimated details."""
+    bands, v, guides = _analysed(a, v, guides, noise, h, flat)
     details = sum(weight * candidate for weight, candidate in zip(w, bands.candidates(), strict=True))
     return bands.s, v, guides, np.asarray(details)
 
 
-def _rows_up(low: Array, details: Array, h: int) -> Array:
-    return haar.synthesise(low, details, h, True)
-
-
-def _plane_down(
+def in_one_pass(
     a: Array, v: Array, guides: Guides, noise: Noise, w: Array, h: int
 ) -> tuple[Array, Array, Guides, Array]:
     """The same of a plane in one pass; the details come gathered into the level below. One row of ``v`` means all."""
     v = haar.children_sum(v, h, False) if len(v) > 1 else 2.0 * (v[:, h:] + v[:, :-h])
     s, lows, gathered = level_pass(a, np.asarray(guides.images), v, noise.alpha, 3.0 * BUMP, guides.noise, w, h)
     return s, v, Guides(lows, guides.noise), gathered
-
-
-def _plane_up(low: Array, gathered: Array, h: int) -> Array:
-    settle(low, gathered, h)
-    return gathered
 
 
 def _one_row_for_all(variance: Array) -> Array:
