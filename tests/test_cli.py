@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -359,6 +360,80 @@ def test_lists_after_add_are_spread(tmp_path):
         "--add",
         "b",
     ]
+
+
+def test_the_words_of_an_option_are_those_of_the_function_it_is_for():
+    from napari_mufasa.calibrate.measure import CameraType
+    from napari_mufasa.cli import options
+    from napari_mufasa.compare.simulated import SofiTimes
+    from napari_mufasa.denoise.pipeline import Method
+    from napari_mufasa.files.traces import Unit
+    from napari_mufasa.photophysics.engines import Engine
+    from napari_mufasa.spots.aperture import Profile
+    from napari_mufasa.spots.find import Threshold
+
+    assert options.EngineName == Engine and options.CameraName == CameraType
+    assert options.UnitName == Unit and options.ProfileName == Profile and options.ThresholdName == Threshold
+    assert options.TimesName == SofiTimes and options.MethodName == Method
+
+
+# --- what it prints ------------------------------------------------------------------------------------------
+
+
+def test_a_table_that_is_piped_is_plain_whole_and_one_line_a_row(tmp_path):
+    """Whatever the width and the colours the environment asks for: other programs read it."""
+    asked = os.environ | {"COLUMNS": "20", "FORCE_COLOR": "1", "TERM": "xterm-256color"}
+    command = [sys.executable, "-m", "napari_mufasa", "presets", "--effects"]
+    ran = subprocess.run(command, capture_output=True, text=True, env=asked)
+    assert ran.returncode == 0 and "\x1b" not in ran.stdout and "…" not in ran.stdout
+    head, *rows = ran.stdout.splitlines()
+    assert head.split()[:2] == ["effect", "stage"]
+    kinds = nm.effects.catalogue()
+    assert [row.split()[0] for row in rows] == list(kinds)
+    for row, effect in zip(rows, kinds.values(), strict=True):
+        assert all(f"{name}=" in row for name in effect.model_fields) and row == row.rstrip()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX terminals")
+def test_a_table_on_a_terminal_is_folded_and_loses_nothing():
+    import pty
+
+    ours, theirs = pty.openpty()
+    running = subprocess.Popen(
+        [sys.executable, "-m", "napari_mufasa", "presets", "--effects"], stdout=theirs,
+        env=os.environ | {"COLUMNS": "60", "NO_COLOR": "1", "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(theirs)
+    shown = b""
+    while True:
+        try:
+            part = os.read(ours, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not part:
+            break
+        shown += part
+    os.close(ours)
+    assert running.wait() == 0
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", shown.decode()).splitlines()
+    assert max(map(len, lines)) <= 60
+    piped = subprocess.run(
+        [sys.executable, "-m", "napari_mufasa", "presets", "--effects"], capture_output=True, text=True
+    )
+    assert Counter("".join("".join(lines).split())) == Counter("".join(piped.stdout.split()))
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    line = f"{sys.executable} -m napari_mufasa presets --effects | true; exit ${{PIPESTATUS[0]}}"
+    ran = subprocess.run(["bash", "-c", line], capture_output=True, text=True)
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
+def test_brackets_in_a_table_are_no_markup(capsys):
+    from napari_mufasa.cli import console
+
+    console.print_table(("[bold]name[/bold]", "value"), [("[red]a", 1.23456), (":smile:", None)])
+    assert capsys.readouterr().out == "[bold]name[/bold]  value\n[red]a             1.235\n:smile:            –\n"
 
 
 # --- how it fails --------------------------------------------------------------------------------------------

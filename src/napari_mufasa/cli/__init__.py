@@ -39,7 +39,7 @@ def _run(arguments: list[str], debug: bool) -> int:
         return leaving.exit_code
     except MufasaError as error:
         return _say(str(error), BAD_INPUT, debug)
-    except BrokenPipeError:  # the reader of our output (head, less) has left
+    except (BrokenPipeError, SystemExit):  # the reader of our output (head, less) has left; typer exits for that
         sys.stdout = None
         return DONE
     except Exception as error:

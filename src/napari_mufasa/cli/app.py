@@ -44,7 +44,7 @@ def options(
 
 
 def spread_lists(arguments: Sequence[str]) -> list[str]:
-    """``--add A B`` as ``--add A --add B``: the form in which the parser takes a list.
+    """``--add A B`` as ``--add A --add B``: typer's options take a fixed number of values, a list only repeated.
 
     A word belongs to the list while it looks like KIND or KIND:NAME=VALUE and is no file.
     """

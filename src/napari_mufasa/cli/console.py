@@ -1,4 +1,4 @@
-"""What every verb shares: progress and Ctrl-C, outputs that are whole or absent, small tables."""
+"""What every verb shares: progress and Ctrl-C, outputs that can be written, effects from text, small tables."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
+
+import typer
 
 from napari_mufasa.errors import MufasaError
 
@@ -59,16 +61,18 @@ def working(title: str) -> Iterator[Work]:
 
 @contextlib.contextmanager
 def _bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    if not sys.stderr.isatty():
-        yield lambda _done, _total: None
-        return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-    # What a verb prints goes above the bar on a terminal, and where it was sent to when piped.
-    options: dict[str, Any] = {"transient": True, "redirect_stdout": sys.stdout.isatty()}
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), **options) as bars:
+    bars = Progress(
+        *Progress.get_default_columns(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+        # What a verb prints goes above the bar on a terminal, and where it was sent to when piped.
+        redirect_stdout=sys.stdout.isatty(),
+    )
+    with bars:
         task = bars.add_task(title, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
@@ -109,52 +113,48 @@ def _check_writable(folder: Path) -> None:
         raise MufasaError(f"cannot write into {folder}: allow it or choose another output path")
 
 
-@contextlib.contextmanager
-def folder(path: Path) -> Iterator[Path]:
-    """A temporary folder; its files move into `path` together at the end, or disappear."""
-    import os
-    import shutil
-    import tempfile
-
-    check_folder_out(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    try:
-        yield temporary
-        path.mkdir(exist_ok=True)
-        for file in sorted(temporary.iterdir()):
-            os.replace(file, path / file.name)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def with_effect(model: Model, text: str) -> Model:
-    """The model with an effect given as KIND[:NAME=VALUE,…]."""
-    return model.with_effects(effect_from_text(model, text))
-
-
 def effect_from_text(model: Model, text: str) -> Any:
-    import json
-
+    """An effect given as KIND[:NAME=VALUE,…], checked against the model it is for."""
     kind, _, rest = text.partition(":")
     data: dict[str, Any] = {"kind": kind.strip()}
     for item in filter(None, (part.strip() for part in rest.split(","))):
         name, equals, value = item.partition("=")
         if not equals:
             raise MufasaError(f"effect {text!r}: {item!r} is not NAME=VALUE; write KIND:NAME=VALUE,NAME=VALUE")
-        try:
-            data[name.strip()] = json.loads(value)
-        except ValueError:
-            data[name.strip()] = value.strip()
+        data[name.strip()] = plain_value(value)
     return model.with_values({"effects": [data]}).effects[0]
 
 
+def plain_value(text: str) -> Any:
+    """A number, null, true, … as in JSON, and any other word as it is."""
+    import json
+
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text.strip()
+
+
 def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Aligned columns; numbers with four significant digits."""
-    cells = [list(head), *([_cell(value) for value in row] for row in rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
-    for row in cells:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    """Aligned columns; numbers with four significant digits. On a terminal lines are folded to its width.
+
+    Anywhere else nothing is cut, folded or coloured: other programs read it.
+    """
+    from rich.console import Console
+    from rich.table import Column, Table
+    from rich.text import Text
+
+    screen = Console(width=None if sys.stdout.isatty() else 2**16)
+    # As `Text`, so that brackets in a cell are no markup.
+    columns = (Column(Text(name), overflow="fold") for name in head)
+    table = Table(*columns, box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for row in rows:
+        table.add_row(*(Text(_cell(value)) for value in row))
+    # Captured, because rich would end the process with an error where the reader (head, less) has left.
+    with screen.capture() as drawn:
+        screen.print(table)
+    for line in drawn.get().splitlines():
+        typer.echo(line.rstrip())
 
 
 def _cell(value: object) -> str:

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from napari_mufasa.cli import console
-from napari_mufasa.cli.making import ModelFile, Seed
-from napari_mufasa.cli.measuring import (
+from napari_mufasa.cli.measuring import trace_table, write_figures
+from napari_mufasa.cli.options import (
     DarkFile,
+    ModelFile,
     MovieFile,
     OutFolder,
+    Seed,
     TraceBackground,
     TraceProfile,
     TraceUnit,
-    trace_table,
-    write_figures,
 )
 from napari_mufasa.errors import MufasaError
 
@@ -102,7 +102,7 @@ def _finish_traces(out: Path, found: TraceReport) -> None:
         figures.Drawing("distributions", "", (7.2, 7.2), lambda f: plotting.distributions(f, shown)),
         figures.Drawing("traces", "", (7.2, 5.4), lambda f: plotting.contact_sheet(f, found.traces["measured"])),
     ]
-    with console.folder(out) as folder:
+    with files.filling(out) as folder:
         files.write_json(folder / "report.json", found.as_dict())
         found.model.to_json(folder / "model.json")
         write_figures(folder, drawings)
@@ -140,6 +140,7 @@ def _values(parameters: dict[str, Any]) -> str:
 
 
 def _finish(out: Path, report: Report, movie: Path, recorded: Any, background: Any) -> None:
+    from napari_mufasa import files
     from napari_mufasa.report import figures
     from napari_mufasa.report import html as html_report
     from napari_mufasa.report.words import summary
@@ -147,7 +148,7 @@ def _finish(out: Path, report: Report, movie: Path, recorded: Any, background: A
     traces = figures.traces_to_show(recorded, report.base, background)
     n_frames, height, width = recorded.shape
     subtitle = f"{movie.name}: {n_frames} frames of {height} × {width} px"
-    with console.folder(out) as folder:
+    with files.filling(out) as folder:
         html_report.export(folder, report, traces, subtitle)
     for line in summary(report):
         typer.echo(line)

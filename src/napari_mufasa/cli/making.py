@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from napari_mufasa.cli import console
+from napari_mufasa.cli.options import EngineName, ModelFile, Seed
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
     from napari_mufasa.simulate.movie import SimulatedAcquisition
-
-
-class EngineName(StrEnum):
-    fast = "fast"
-    exact = "exact"
-
-
-ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL.json", help="The model (see 'presets').")]
-Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed gives the same result.")]
 
 
 def simulate(
@@ -39,7 +30,7 @@ def simulate(
         list[str] | None,
         typer.Option("--effect", metavar="KIND[:NAME=VALUE,…]", help="Add an effect; may be repeated."),
     ] = None,
-    engine: Annotated[EngineName, typer.Option("--engine")] = EngineName.fast,
+    engine: Annotated[EngineName, typer.Option("--engine")] = "fast",
     truth: Annotated[
         Path | None, typer.Option("--truth", metavar="DIR", help="Also write emission.csv and positions.csv.")
     ] = None,
@@ -55,18 +46,10 @@ def simulate(
     console.check_movie_out(out)
     if truth is not None:
         console.check_folder_out(truth)
-    chosen = _chosen_model(preset, model)
-    changes: dict[str, Any] = {}
-    if n_molecules is not None:
-        changes["sample.n_molecules"] = n_molecules
-    if frames is not None:
-        changes["acquisition.n_frames"] = frames
-    if shape is not None:
-        changes["acquisition.shape_px"] = shape
-    if changes:
-        chosen = chosen.with_values(changes)
+    asked = {"sample.n_molecules": n_molecules, "acquisition.n_frames": frames, "acquisition.shape_px": shape}
+    chosen = _chosen_model(preset, model).with_values({k: v for k, v in asked.items() if v is not None})
     for text in effect or []:
-        chosen = console.with_effect(chosen, text)
+        chosen = chosen.with_effects(console.effect_from_text(chosen, text))
     places = None if positions is None else read_positions(positions, chosen.acquisition.pixel_size_nm)
     if places is not None and n_molecules is not None:
         if n_molecules > len(places):
@@ -74,7 +57,7 @@ def simulate(
         places = places[:n_molecules]
     if places is not None:  # the model in the metadata says what the movie holds
         chosen = chosen.with_values({"sample.n_molecules": len(places)})
-    acquisition = SimulatedAcquisition(chosen, places, seed, engine.value)
+    acquisition = SimulatedAcquisition(chosen, places, seed, engine)
     movie_shape = (acquisition.n_frames, *chosen.acquisition.shape_px)
     with console.working("simulating") as work:
         blocks = (block.movie for _, block in acquisition.blocks(**work.both()))
@@ -104,7 +87,7 @@ def _write_truth(directory: Path, acquisition: SimulatedAcquisition) -> None:
     photons = acquisition.emission[molecule, frame]
     emission = pd.DataFrame({"molecule": molecule, "frame": frame, "photons": photons})
     positions = pd.DataFrame(acquisition.scene.positions_px, columns=["y_px", "x_px"])
-    with console.folder(directory) as folder:
+    with files.filling(directory) as folder:
         files.write_table(folder / "emission.csv", emission)
         files.write_table(folder / "positions.csv", positions.rename_axis("molecule").reset_index())
 
@@ -172,18 +155,10 @@ def design(
 
 
 def _parse_vary(text: str) -> tuple[str, list[Any]]:
-    import json
-
     path, _, values = text.partition("=")
     if not path.strip() or not values.strip():
         raise MufasaError(f"--vary {text!r}: write PATH=V1,V2,… as in excitation.power_density_w_per_cm2=1,10,100")
-    parsed = []
-    for value in values.split(","):
-        try:
-            parsed.append(json.loads(value))
-        except ValueError:
-            parsed.append(value.strip())
-    return path.strip(), parsed
+    return path.strip(), [console.plain_value(value) for value in values.split(",")]
 
 
 def demo(

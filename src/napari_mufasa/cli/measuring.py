@@ -4,74 +4,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from napari_mufasa.cli import console
-from napari_mufasa.cli.making import ModelFile, Seed
+from napari_mufasa.cli.options import (
+    Best,
+    CameraName,
+    DarkFile,
+    FollowDrift,
+    MaxSteps,
+    MethodName,
+    ModelFile,
+    MovieFile,
+    OutFolder,
+    ProfileName,
+    Seed,
+    ThresholdName,
+    TimesName,
+    TraceBackground,
+    TraceProfile,
+    TraceUnit,
+    UnitName,
+    Window,
+)
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.calibrate.measure import Value
+    from napari_mufasa.model.setup import Camera
     from napari_mufasa.report.figures import Drawing
+    from napari_mufasa.traces.extract import TraceSet
 
-MovieFile = Annotated[Path, typer.Argument(metavar="MOVIE", help="TIFF, OME-TIFF or zarr, (frame, y, x).")]
-DarkFile = Annotated[Path | None, typer.Option("--dark", metavar="DARK", help="Frames without light.")]
-OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write into.")]
-Window = Annotated[
-    int | None, typer.Option("--window", min=1, metavar="N", help="Keep N frames just before each bleaching.")
-]
-Best = Annotated[int | None, typer.Option("--best", min=1, metavar="N", help="Keep the N best molecules.")]
-MaxSteps = Annotated[
-    int | None, typer.Option("--max-steps", min=0, metavar="N", help="At most N bleaching steps (1: single molecules).")
-]
-FollowDrift = Annotated[bool, typer.Option("--follow-drift", help="Let positions follow the motion of the field.")]
 IN_MEMORY_BYTES = 2**30
-
-
-class CameraName(StrEnum):
-    CCD = "CCD"
-    EMCCD = "EMCCD"
-    CMOS = "CMOS"
-
-
-class UnitName(StrEnum):
-    photoelectrons = "photoelectrons"
-    photons = "photons"
-    adu = "adu"
-
-
-class ProfileName(StrEnum):
-    psf = "psf"
-    sum = "sum"
-    brightest_pixel = "brightest_pixel"
-
-
-TraceUnit = Annotated[UnitName | None, typer.Option("--unit", help="Of the traces; default: as the file says.")]
-TraceProfile = Annotated[
-    ProfileName | None, typer.Option("--profile", help="What each trace holds; default: psf, TIFF: brightest_pixel")
-]
-TraceBackground = Annotated[
-    bool | None,
-    typer.Option(
-        "--with-background/--without-background", help="Is the background in the traces? Default: in a TIFF only."
-    ),
-]
-
-
-class TimesName(StrEnum):
-    model = "model"
-    tool = "tool"
-
-
-class ThresholdName(StrEnum):
-    sigma = "sigma"
-    percentile = "percentile"
-    otsu = "otsu"
-    triangle = "triangle"
+BLOCK = 64  # frames written at a time
 
 
 def denoise(
@@ -82,7 +50,7 @@ def denoise(
         Path | None,
         typer.Option("--dark", metavar="DARK", help="Or frames without light: an EMCCD is measured on the data."),
     ] = None,
-    method: Annotated[str | None, typer.Option("--method", metavar="NAME", help="Default: the best one.")] = None,
+    method: Annotated[MethodName, typer.Option("--method", help="Which estimator.")] = "pure-let-movie",
 ) -> None:
     """Estimate the light: photons per pixel and frame, float32."""
     import numpy as np
@@ -98,27 +66,28 @@ def denoise(
         )
     console.check_movie_out(out)
     believed = None if model is None else Model.from_json(model)
-    source = files.read_movie(movie)
-    n_frames, height, width = source.data.shape
-    options: dict[str, Any] = {} if method is None else {"method": method}
+    recorded = files.read_movie(movie).data
     size_nm = None if believed is None else believed.acquisition.pixel_size_nm
-    in_memory = 4 * n_frames * height * width <= IN_MEMORY_BYTES
-    with console.scratch(out, (n_frames, height, width), np.float32, in_memory=in_memory) as result:
+    in_memory = 4 * math.prod(recorded.shape) <= IN_MEMORY_BYTES
+    with console.scratch(out, recorded.shape, np.float32, in_memory=in_memory) as result:
         with console.working("denoising") as work:
-            if believed is not None:
-                camera = believed.camera
-            else:
-                camera = measured_camera(source.data, None if dark is None else files.load(dark), work.cancel)
-            run(source.data, camera, out=result, **options, **work.both())
-        blocks = (result[start : start + 64] for start in range(0, n_frames, 64))
-        files.write_movie(out, blocks, (n_frames, height, width), np.float32, pixel_size_nm=size_nm)
+            background = None if dark is None else files.load(dark)
+            camera = believed.camera if believed is not None else measured_camera(recorded, background, work.cancel)
+            run(recorded, camera, method=method, out=result, **work.both())
+        blocks = (result[start : start + BLOCK] for start in range(0, len(result), BLOCK))
+        files.write_movie(out, blocks, recorded.shape, np.float32, pixel_size_nm=size_nm)
     if believed is None:
-        per_electron = (camera.em_gain or 1.0) / camera.electrons_per_adu
-        typer.echo(
-            f"camera measured: baseline {camera.baseline_adu:.4g} ADU, {per_electron:.4g} ADU per photoelectron, "
-            f"quantum efficiency {camera.quantum_efficiency:g} assumed"
-        )
+        typer.echo(_camera_measured(camera))
+    n_frames, height, width = recorded.shape
     typer.echo(f"{out}: {n_frames} frames of {height} × {width} px, photons per pixel and frame")
+
+
+def _camera_measured(camera: Camera) -> str:
+    per_electron = (camera.em_gain or 1.0) / camera.electrons_per_adu
+    return (
+        f"camera measured: baseline {camera.baseline_adu:.4g} ADU, {per_electron:.4g} ADU per photoelectron, "
+        f"quantum efficiency {camera.quantum_efficiency:g} assumed"
+    )
 
 
 def traces(
@@ -135,13 +104,13 @@ def traces(
     follow_drift: FollowDrift = False,
     profile: Annotated[
         ProfileName, typer.Option("--profile", help="The whole spot (psf), a disc (sum), or one pixel.")
-    ] = ProfileName.psf,
+    ] = "psf",
     with_background: Annotated[
         bool, typer.Option("--with-background", help="Leave the local background in the traces.")
     ] = False,
-    threshold: Annotated[ThresholdName, typer.Option("--threshold", help="How candidates are told from noise.")] = (
-        ThresholdName.sigma
-    ),
+    threshold: Annotated[
+        ThresholdName, typer.Option("--threshold", help="How candidates are told from noise.")
+    ] = "sigma",
     threshold_value: Annotated[
         float | None, typer.Option("--threshold-value", metavar="V", help="Noise sd (6) or percentile (98).")
     ] = None,
@@ -152,33 +121,41 @@ def traces(
     from napari_mufasa import files
     from napari_mufasa.files import traces as trace_files
     from napari_mufasa.model.model import Model
-    from napari_mufasa.report import figures
-    from napari_mufasa.report import plots as plotting
     from napari_mufasa.traces import extract_traces
 
     console.check_folder_out(out)
     believed = Model.from_json(model)
-    source = files.read_movie(movie)
+    recorded = files.read_movie(movie).data
     background = None if dark is None else files.load(dark)
     with console.working("traces") as work:
         found = extract_traces(
-            source.data, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
-            max_steps=max_steps, min_steps=min_steps, follow_drift=follow_drift, profile=profile.value,
-            subtract_background=not with_background, threshold=threshold.value, threshold_value=threshold_value,
+            recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
+            max_steps=max_steps, min_steps=min_steps, follow_drift=follow_drift, profile=profile,
+            subtract_background=not with_background, threshold=threshold, threshold_value=threshold_value,
             min_snr=min_snr, **work.both(),
         )  # fmt: skip
-    picture = figures.mean_image(source.data)
+    with files.filling(out) as folder:
+        trace_files.write_traces(folder, found, hdf5=hdf5)
+        write_figures(folder, _molecules_and_traces(recorded, found))
+    _tell_molecules(out, found)
+
+
+def _molecules_and_traces(recorded: Any, found: TraceSet) -> list[Drawing]:
+    from napari_mufasa.report import figures
+    from napari_mufasa.report import plots as plotting
+
+    picture = figures.mean_image(recorded)
     kept = found.molecules["molecule"][found.kept].tolist()
-    drawings = [
+    return [
         figures.Drawing(
             "molecules", "", (5.4, 5.0), lambda f: plotting.molecules(f.add_subplot(), picture, found.molecules)
         ),
         figures.Drawing("traces", "", (7.2, 6.2), lambda f: plotting.contact_sheet(f, found.traces, kept, most=24)),
     ]
-    with console.folder(out) as folder:
-        trace_files.write_traces(folder, found, hdf5=hdf5)
-        write_figures(folder, drawings)
-    typer.echo(f"{out}: {len(kept)} molecules kept of {len(found.molecules)} candidates")
+
+
+def _tell_molecules(out: Path, found: TraceSet) -> None:
+    typer.echo(f"{out}: {found.kept.sum()} molecules kept of {len(found.molecules)} candidates")
     reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
     for reason, count in reasons.value_counts().head(6).items():
         typer.echo(f"  {count} × {reason}")
@@ -201,7 +178,7 @@ def compare(
     follow_drift: FollowDrift = False,
     sofi_times: Annotated[
         TimesName, typer.Option("--sofi-times", help="On, off and bleaching times of SOFI: the model's or the tool's.")
-    ] = TimesName.model,
+    ] = "model",
     seed: Seed = 0,
 ) -> None:
     """Measure the distance W1 between measurement and model, with baselines and floor."""
@@ -210,37 +187,42 @@ def compare(
     from napari_mufasa.model.model import Model
     from napari_mufasa.report import figures
 
-    if (movie is None) == (traces is None):
-        raise MufasaError("give either a MOVIE or --traces FILE")
+    _check_what_is_compared(movie, traces, dark, unit, max_steps, follow_drift)
     console.check_folder_out(out)
     believed = Model.from_json(model)
-    shared: dict[str, Any] = {"window": window, "best": best, "seed": seed, "sofi_times": sofi_times.value}
+    shared: dict[str, Any] = {"window": window, "best": best, "seed": seed, "sofi_times": sofi_times}
     if movie is not None:
-        if unit is not None:
-            raise MufasaError("--unit belongs to --traces; a movie is in ADU")
         recorded = files.load(movie)
         background = None if dark is None else files.load(dark)
         with console.working("comparing") as work:
             result = comparing.compare_movie(
                 recorded, believed, background, max_steps=max_steps, follow_drift=follow_drift,
-                profile=profile.value if profile else "psf", subtract_background=not with_background, **shared,
-                **work.both(),
+                profile=profile or "psf", subtract_background=not with_background, **shared, **work.both(),
             )  # fmt: skip
     else:
-        if dark is not None:
-            raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
-        if max_steps is not None or follow_drift:
-            raise MufasaError("--max-steps and --follow-drift choose molecules in a movie; give one, or drop them")
         table = trace_table(traces or Path(), unit, profile, with_background)
         with console.working("comparing") as work:
             result = comparing.compare_traces(**table, model=believed, **shared, **work.both())
-    with console.folder(out) as folder:
+    with files.filling(out) as folder:
         files.write_json(folder / "report.json", result.report())
         write_figures(folder, figures.comparison_drawings(result))
     rows = [(name, value) for name, value in result.w1.items() if name != "unit"]
     console.print_table(("W1", str(result.w1["unit"])), rows)
     for note in result.notes:
         typer.echo(f"note: {note}")
+
+
+def _check_what_is_compared(
+    movie: Path | None, traces: Path | None, dark: Path | None, unit: str | None, max_steps: int | None, drift: bool
+) -> None:
+    if (movie is None) == (traces is None):
+        raise MufasaError("give either a MOVIE or --traces FILE")
+    if movie is not None and unit is not None:
+        raise MufasaError("--unit belongs to --traces; a movie is in ADU")
+    if traces is not None and dark is not None:
+        raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
+    if traces is not None and (max_steps is not None or drift):
+        raise MufasaError("--max-steps and --follow-drift choose molecules in a movie; give one, or drop them")
 
 
 def trace_table(
@@ -253,8 +235,8 @@ def trace_table(
     raw = found_unit == "adu" and path.suffix.lower() in (".tif", ".tiff")
     return {
         "traces": values,
-        "unit": unit.value if unit else found_unit,
-        "profile": profile.value if profile else ("brightest_pixel" if raw else "psf"),
+        "unit": unit or found_unit,
+        "profile": profile or ("brightest_pixel" if raw else "psf"),
         "background_subtracted": not (raw if with_background is None else with_background),
     }
 
@@ -263,7 +245,7 @@ def calibrate(
     movie: MovieFile,
     out: Annotated[Path, typer.Option("--out", metavar="camera.json", help="The camera part of a model.json.")],
     dark: DarkFile = None,
-    camera_type: Annotated[CameraName, typer.Option("--type", help="Of the camera.")] = CameraName.EMCCD,
+    camera_type: Annotated[CameraName, typer.Option("--type", help="Of the camera.")] = "EMCCD",
     em_gain: Annotated[float | None, typer.Option("--em-gain", min=1, metavar="G", help="If known.")] = None,
     electrons_per_adu: Annotated[
         float | None, typer.Option("--electrons-per-adu", min=1e-6, metavar="E", help="If known.")
@@ -278,13 +260,12 @@ def calibrate(
     from napari_mufasa.calibrate.measure import calibrate as measure
 
     console.check_file_out(out)
-    source = files.read_movie(movie)
+    recorded = files.read_movie(movie).data
     background = None if dark is None else files.load(dark)
     with console.working("calibrating") as work:
         found = measure(
-            source.data, background, camera_type=camera_type.value, em_gain=em_gain,
-            electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu,
-            **work.both(),
+            recorded, background, camera_type=camera_type, em_gain=em_gain, electrons_per_adu=electrons_per_adu,
+            quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu, **work.both(),
         )  # fmt: skip
     section = found.camera.model_dump(mode="json", exclude_none=True)
     if found.camera.type != "CMOS":

@@ -1,0 +1,48 @@
+"""Arguments and options that several verbs share.
+
+The words an option may take stand here once more, because they are read before anything heavy is imported; a test
+holds them to those of the functions they are handed to.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+EngineName = Literal["fast", "exact"]
+CameraName = Literal["CCD", "EMCCD", "CMOS"]
+UnitName = Literal["photoelectrons", "photons", "adu"]
+ProfileName = Literal["psf", "sum", "brightest_pixel"]
+ThresholdName = Literal["sigma", "percentile", "otsu", "triangle"]
+TimesName = Literal["model", "tool"]
+MethodName = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
+
+MovieFile = Annotated[Path, typer.Argument(metavar="MOVIE", help="TIFF, OME-TIFF or zarr, (frame, y, x).")]
+ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL.json", help="The model (see 'presets').")]
+DarkFile = Annotated[Path | None, typer.Option("--dark", metavar="DARK", help="Frames without light.")]
+OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write into.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed gives the same result.")]
+
+# which molecules of a movie
+Window = Annotated[
+    int | None, typer.Option("--window", min=1, metavar="N", help="Keep N frames just before each bleaching.")
+]
+Best = Annotated[int | None, typer.Option("--best", min=1, metavar="N", help="Keep the N best molecules.")]
+MaxSteps = Annotated[
+    int | None, typer.Option("--max-steps", min=0, metavar="N", help="At most N bleaching steps (1: single molecules).")
+]
+FollowDrift = Annotated[bool, typer.Option("--follow-drift", help="Let positions follow the motion of the field.")]
+
+# what a table of traces holds
+TraceUnit = Annotated[UnitName | None, typer.Option("--unit", help="Of the traces; default: as the file says.")]
+TraceProfile = Annotated[
+    ProfileName | None, typer.Option("--profile", help="What each trace holds; default: psf, TIFF: brightest_pixel")
+]
+TraceBackground = Annotated[
+    bool | None,
+    typer.Option(
+        "--with-background/--without-background", help="Is the background in the traces? Default: in a TIFF only."
+    ),
+]
