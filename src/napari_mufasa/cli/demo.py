@@ -1,7 +1,7 @@
 """The demonstration: an effect is hidden in an acquisition, and found again from the files alone.
 
-`prepare` is the one who hides: it draws an effect, simulates, and leaves movie, dark frames and the model a user
-would believe in; the truth goes into a sealed envelope. `investigate` is the user: it reads those three files and
+`prepare` is the one who hides (`samples.hide`): it leaves movie, dark frames and the model a user would believe in; the
+truth goes into a sealed envelope. `investigate` is the user: it reads those three files and
 nothing else. `open_envelope` compares.
 """
 
@@ -24,36 +24,11 @@ Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
 Say = Callable[[str], Any]
 
-N_DARK = 100
-#: What may be hidden, with ranges in which it is visible in this acquisition; forms are drawn, too.
-HIDDEN: dict[str, dict[str, tuple[float, float]]] = {
-    "triplet_blinking": {"off_rate_per_s": (5, 15), "dark_time_s": (0.03, 0.08)},
-    "photobleaching": {"rate_per_s": (0.2, 0.5)},
-    "delayed_activation": {"fraction": (0.5, 0.8), "activation_rate_per_s": (0.3, 0.8)},
-    "brightness_heterogeneity": {"spread": (0.4, 0.6)},
-    "laser_drift": {"change": (-0.5, -0.3)},
-    "laser_flicker": {"rms": (0.08, 0.15)},
-    "periodic_modulation": {"amplitude": (0.12, 0.2), "period_frames": (5, 20)},
-    "stage_drift": {"distance_px": (2, 4), "direction_deg": (0, 360)},
-    "focus_drift": {"widening": (0.4, 0.7)},
-    "molecule_diffusion": {"diffusion_px2_per_frame": (0.005, 0.015)},
-}
-BELIEVED: dict[str, Any] = {
-    "protocol": "FF",
-    "acquisition": {"n_frames": 300, "frame_length_s": 0.02, "pixel_size_nm": 100.0, "shape_px": [96, 96]},
-    "fluorophore": {
-        "extinction_coefficient_per_M_cm": 55900, "lifetime_s": 2.6e-9, "quantum_yield": 0.6,
-        "cycles_before_bleaching": 4e6, "isc_ratio": None, "triplet_decay_rate_per_s": None,
-    },
-    "excitation": {"wavelength_nm": 488, "power_density_w_per_cm2": 30, "activation_rate_per_s": None},
-    "optics": {"psf_fwhm_nm": 300, "collection_efficiency": 0.6, "background_photons_per_px": 10},
-    "camera": {
-        "type": "EMCCD", "quantum_efficiency": 0.9, "read_noise_e": 50, "clock_induced_charge_e": 0.002,
-        "electrons_per_adu": 12, "baseline_adu": 200, "adc_max": 65535, "em_gain": 300,
-    },
-    "sample": {"n_molecules": 50, "min_distance_px": 6},
-    "effects": [],
-}  # fmt: skip
+#: What the demonstration may hide: effects of molecules, light and motion.
+KINDS = (
+    "triplet_blinking", "photobleaching", "delayed_activation", "brightness_heterogeneity", "laser_drift",
+    "laser_flicker", "periodic_modulation", "stage_drift", "focus_drift", "molecule_diffusion",
+)  # fmt: skip
 
 
 def run(
@@ -71,44 +46,20 @@ def run(
 
 
 def prepare(directory: Path, seed: int) -> None:
-    """Hide an effect: movie.ome.tif, dark.ome.tif and model.json for the user, envelope.json for later.
-
-    Power, background and focus are a few percent off what the model says, as they are in every laboratory.
-    """
+    """Hide an effect: movie.ome.tif, dark.ome.tif and model.json for the user, envelope.json for later."""
+    from napari_mufasa import samples
     from napari_mufasa.model.model import Model
-    from napari_mufasa.simulate.movie import simulate, simulate_dark
 
-    rng = np.random.default_rng([seed, 0xDE30])
-    believed = Model.from_dict(BELIEVED)
-    effect = draw_effect(believed, rng)
-    off = {
-        "excitation.power_density_w_per_cm2": 30 * rng.uniform(0.93, 1.07),
-        "optics.background_photons_per_px": 10 * rng.uniform(0.93, 1.07),
-        "optics.psf_fwhm_nm": 300 * rng.uniform(0.97, 1.03),
-    }
-    truth = believed.with_values(off).with_effects(effect)
-    movie = simulate(truth, seed=int(rng.integers(2**31))).movie
-    dark = simulate_dark(truth, N_DARK, seed=int(rng.integers(2**31)))
+    believed = Model.from_dict(samples.BELIEVED)
+    puzzle = samples.hide(believed, KINDS, np.random.default_rng([seed, 0xDE30]))
     # The metadata hold what the user believes: the diagnosis must not find the answer there.
-    files.write_movie(directory / "movie.ome.tif", [movie], movie.shape, movie.dtype, model=believed)
-    files.write_movie(directory / "dark.ome.tif", [dark], dark.shape, dark.dtype, model=believed)
+    for name, stack in (("movie.ome.tif", puzzle.movie), ("dark.ome.tif", puzzle.dark)):
+        files.write_movie(directory / name, [stack], stack.shape, stack.dtype, model=believed)
     believed.to_json(directory / "model.json")
+    effect = puzzle.truth.effects[0]
     files.write_json(
-        directory / "envelope.json", {"seed": seed, "effect": effect.model_dump(), "model": truth.to_dict()}
+        directory / "envelope.json", {"seed": seed, "effect": effect.model_dump(), "model": puzzle.truth.to_dict()}
     )
-
-
-def draw_effect(model: Model, rng: np.random.Generator) -> Any:
-    """An effect of `HIDDEN` with a drawn form and drawn values within the visible range."""
-    from napari_mufasa.effects import effect_class
-
-    kind = str(rng.choice(list(HIDDEN)))
-    data: dict[str, Any] = {"kind": kind}
-    data |= {name: float(rng.uniform(*bounds)) for name, bounds in HIDDEN[kind].items()}
-    forms = effect_class(kind).forms()
-    if forms != ("",):
-        data["form"] = str(rng.choice(list(forms)))
-    return model.with_values({"effects": [data]}).effects[0]
 
 
 def investigate(
