@@ -14,7 +14,6 @@ import time
 import warnings
 from collections.abc import Callable
 from functools import lru_cache, partial
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -23,6 +22,7 @@ from scipy.ndimage import median_filter
 
 import napari_mufasa as nm
 from benchmarks.denoise_risk import honest_ratio
+from benchmarks.pages import header, row, write
 from benchmarks.scenes import PSF_SIGMA_PX, REAL_DATA, emccd, filaments, photograph, spots
 from napari_mufasa.camera.detector import photoelectrons
 from napari_mufasa.denoise import pure_let, pure_let_movie, pure_let_traces
@@ -34,8 +34,6 @@ from napari_mufasa.denoise.wavelet import anscombe
 from napari_mufasa.model.setup import Camera
 
 Array = NDArray[np.float64]
-DOCS = Path(__file__).resolve().parents[1] / "docs" / "denoising.md"
-BEGIN, END = "<!-- benchmark begins -->", "<!-- benchmark ends -->"
 CAMERA = Camera(
     type="EMCCD", quantum_efficiency=0.9, read_noise_e=50, clock_induced_charge_e=0.002, electrons_per_adu=12,
     baseline_adu=200, em_gain=300,
@@ -84,16 +82,6 @@ SKIPPED: set[str] = set()
 
 def wanted(method: str) -> bool:
     return method not in SKIPPED
-
-
-def row(*cells: object) -> str:
-    """A line of a table; what was not measured is left empty."""
-    words = (("" if np.isnan(c) else f"{c:.2f}") if isinstance(c, float) else str(c) for c in cells)
-    return "| " + " | ".join(words) + " |"
-
-
-def header(*cells: str) -> list[str]:
-    return [row(*cells), "|" + "---|" * len(cells)]
 
 
 def picture(name: str, side: int = 256) -> Array:
@@ -408,11 +396,55 @@ def single_pass_table(quick: bool) -> list[str]:
             noise = Noise(1.0, np.zeros((1, 1), np.float32))
             read = np.zeros((side, side), np.float32)
             ms = [
-                1e3 * float(timed(partial(way, planes[0], read, guides, noise, weights, 1), 5)[0])
+                1e3 * float(timed(partial(way, planes[0], read, guides, noise, weights, 1), 9)[1])
                 for way in (expansion.in_one_pass, expansion.candidate_by_candidate)
             ]
             out.append(row(f"{side} x {side}", n_guides, *ms, ms[1] / ms[0]))
-    return [*out, "", "One level, one thread, median of five."]
+    return [*out, "", "One level, one thread, processor time, median of nine."]
+
+
+IN_A_PROCESS_OF_ITS_OWN = """
+import resource, sys
+import numpy as np, zarr
+import napari_mufasa as nm
+from benchmarks.denoise import CAMERA
+from napari_mufasa.denoise import denoise
+movie = zarr.open(sys.argv[1], mode="r")["movie"]
+out = zarr.create_array(sys.argv[1] + "-out", shape=movie.shape, chunks=movie.chunks, dtype=np.float32)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+denoise(movie, CAMERA, out=out)
+print(before / 1024, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def memory_table(quick: bool) -> list[str]:
+    """Peak memory of the default method from zarr to zarr, each movie in a process of its own."""
+    import subprocess
+    import sys
+    import tempfile
+
+    import zarr
+
+    rng = np.random.default_rng(0)
+    out = header("movie", "before, MB", "peak, MB", "difference in float32 frames")
+    for frames, side in ((60, 256),) if quick else ((100, 256), (300, 256), (900, 256), (100, 512), (300, 512)):
+        part = emccd(np.tile(spots(rng, 20, 128), (1, side // 128, side // 128)) * 5, rng)
+        with tempfile.TemporaryDirectory() as folder:
+            stack = zarr.open_group(f"{folder}/m.zarr", mode="w").create_array(
+                "movie", shape=(frames, side, side), chunks=(20, side, side), dtype=np.uint16
+            )
+            for start in range(0, frames, 20):
+                stack[start : start + 20] = part
+            ran = subprocess.run(
+                [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN, f"{folder}/m.zarr"],
+                capture_output=True, text=True, check=True,
+            )  # fmt: skip
+        before, peak = (float(v) for v in ran.stdout.split())
+        of_a_frame = 4 * side * side / 2**20
+        out.append(
+            row(f"{frames} x {side} x {side}", f"{before:.0f}", f"{peak:.0f}", f"{(peak - before) / of_a_frame:.0f}")
+        )
+    return out
 
 
 SECTIONS: dict[str, Callable[[bool], list[str]]] = {
@@ -425,6 +457,7 @@ SECTIONS: dict[str, Callable[[bool], list[str]]] = {
     "Second pass of single images (PSNR, dB)": second_pass_table,
     "Single pass": single_pass_table,
     "Time": time_table,
+    "Memory": memory_table,
 }
 
 
@@ -445,18 +478,7 @@ def main() -> None:
         section = "\n".join([f"### {title}", "", *table(options.quick), ""])
         print(section, flush=True)
         if options.write:
-            write(title, section)
-
-
-def write(title: str, section: str) -> None:
-    """Replace or append one section between the marks of the page."""
-    head, rest = DOCS.read_text().split(BEGIN)
-    body, tail = rest.split(END)
-    parts = {part.partition("\n")[0].strip(): part.partition("\n")[2] for part in body.split("### ")[1:]}
-    parts[title] = section.partition("\n")[2]
-    known = [name for name in SECTIONS if name in parts]
-    text = "\n".join(f"### {name}\n{parts[name].rstrip()}\n" for name in known)
-    DOCS.write_text(f"{head}{BEGIN}\n{text}{END}{tail}")
+            write("denoising.md", title, section, SECTIONS)
 
 
 if __name__ == "__main__":

@@ -50,7 +50,8 @@ def denoise(
     ----------
     movie : array (frame, y, x) or (y, x), ADU
         numpy, dask or zarr; read in blocks of `BLOCK` frames (fewer above 1024 x 1024 pixels) and their neighbours.
-        Peak memory: about 300 float32 frames but at least 350 MB, and the result unless ``out`` is on disk.
+        Memory on top of the program's: about 200 float32 frames, at least 130 MB, and the result unless ``out``
+        is on disk.
     camera : Camera, optional
         Gain, read noise, baseline, quantum efficiency and maps. Without one they are measured on the movie and
         ``dark`` (`napari_mufasa.calibrate.measure`, an EMCCD assumed): say what you know with a camera of your own.
