@@ -1,7 +1,9 @@
 """Real movies through `diagnose`, from a model without bleaching, triplet or heterogeneity: as they come out.
 
     python -m benchmarks.real_movies            prints what docs/real_movies.md shows
-    python -m benchmarks.real_movies --write    and stores it there, with the figures of each report in build/
+    python -m benchmarks.real_movies --write    and puts each movie's section there
+
+The figures of each report go to build/real_movies.
 
 W1 is that of extracted traces (photoelectrons per frame) against the model believed and the completed one, over the
 floor: W1 between halves of the measured molecules.
@@ -10,6 +12,7 @@ floor: W1 between halves of the measured molecules.
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +20,8 @@ from typing import Any
 import numpy as np
 
 import napari_mufasa as nm
+from benchmarks.pages import write
+from benchmarks.scenes import REAL_DATA as DATA
 from napari_mufasa import files
 from napari_mufasa.cli.console import working
 from napari_mufasa.compare import compare_movie
@@ -25,24 +30,25 @@ from napari_mufasa.report.words import chosen_candidates, effect_title, paramete
 from napari_mufasa.traces import extract_traces
 
 ROOT = Path(__file__).parents[1]
-DATA = ROOT.parent / "shared" / "data"
+NAMES = ("smfret_ixon_emccd.tif", "yeast_slimfield_emccd.tif")
 MOST = 6  # effects: a real movie lacks more than one
 
 
 def movies() -> Iterator[tuple[str, Any, nm.Model, Any, dict[str, Any]]]:
     """Name, movie, believed model, dark frames, and how traces are chosen."""
     smfret = nm.Model.from_json(ROOT / "docs" / "models" / "smfret_ixon.json")
-    yield "smfret_ixon_emccd.tif", files.load(DATA / "smfret_ixon_emccd.tif"), smfret, None, {"max_steps": 1}
+    yield NAMES[0], files.load(DATA / NAMES[0]), smfret, None, {"max_steps": 1}
     yeast = nm.Model.from_json(ROOT / "docs" / "models" / "yeast_slimfield.json")
     yeast = yeast.with_values({"fluorophore.cycles_before_bleaching": None})
-    counts = files.load(DATA / "yeast_slimfield_emccd.tif")
-    yield "yeast_slimfield_emccd.tif", counts[27:], yeast, counts[:27], {}
+    counts = files.load(DATA / NAMES[1])
+    yield NAMES[1], counts[27:], yeast, counts[:27], {}
 
 
 def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
     """One movie's section, as Markdown."""
     line, fall = verdict_text(report)
-    rows = [f"## {name}", "", f"{size}. **{line}** {fall} ({report.seconds / 60:.1f} min on two cores.)", ""]
+    spent = f"{report.seconds / 60:.1f} min on {os.cpu_count()} cores"
+    rows = [f"### {name}", "", f"{size}. **{line}** {fall} ({spent}.)", ""]
     rows += ["| model | error | fitted |", "|---|---|---|"]
     candidates = {c.effect: c for c in chosen_candidates(report)}
     for step in report.history:
@@ -77,7 +83,6 @@ def main() -> None:
     parser.add_argument("--only", default="", help="movies whose name holds this word")
     parser.add_argument("--write", action="store_true", help="store in docs/real_movies.md")
     options = parser.parse_args()
-    sections = []
     for name, movie, model, dark, rules in movies():
         if options.only not in name:
             continue
@@ -91,11 +96,10 @@ def main() -> None:
             f"* {distance(movie, model, dark, 'model believed', rules)}",
             f"* {distance(movie, report.model, dark, 'completed model', rules)}",
         ]
-        sections.append(told(name, report, distances, f"{shape} (frame, y, x)"))
-        print(sections[-1], flush=True)
-    if options.write:
-        text = "# Real movies\n\n`python -m benchmarks.real_movies --write` wrote this: the runs as they came out.\n\n"
-        files.write_text(ROOT / "docs" / "real_movies.md", text + "\n".join(sections))
+        section = told(name, report, distances, f"{shape} (frame, y, x)")
+        print(section, flush=True)
+        if options.write:
+            write("real_movies.md", name, section, NAMES)
 
 
 if __name__ == "__main__":
