@@ -13,87 +13,22 @@ import os
 import time
 import warnings
 from collections.abc import Callable
-from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 import napari_mufasa as nm
+from benchmarks.denoise_parts import memory_table, second_pass_table, single_pass_table
+from benchmarks.denoise_references import CAMERA, SKIPPED, Array, gat_bm3d, gat_nlm, picture, psnr, timed, wanted
 from benchmarks.denoise_risk import honest_ratio
 from benchmarks.pages import header, row, write
 from benchmarks.scenes import PSF_SIGMA_PX, REAL_DATA, emccd, filaments, photograph, spots
 from napari_mufasa.camera.detector import photoelectrons
 from napari_mufasa.denoise import pure_let, pure_let_movie, pure_let_traces
-from napari_mufasa.denoise.noise import Noise
 from napari_mufasa.denoise.pipeline import Method, source_recipe
 from napari_mufasa.denoise.preview import Preview
 from napari_mufasa.denoise.purelet import Method as PureLet
-from napari_mufasa.denoise.wavelet import anscombe
-from napari_mufasa.model.setup import Camera
-
-Array = NDArray[np.float64]
-CAMERA = Camera(
-    type="EMCCD", quantum_efficiency=0.9, read_noise_e=50, clock_induced_charge_e=0.002, electrons_per_adu=12,
-    baseline_adu=200, em_gain=300,
-)  # fmt: skip
-
-
-def psnr(estimate: Array, truth: Array, peak: float) -> float:
-    return float(10 * np.log10(peak**2 / np.mean((np.asarray(estimate) - truth) ** 2)))
-
-
-@lru_cache
-def _exact_inverse(sigma: float) -> tuple[Array, Array]:
-    """Mean of the stabilised value against the mean count, by summation: the exact unbiased inverse of the GAT."""
-    from scipy.stats import poisson
-
-    means = np.concatenate([[0.0], np.geomspace(1e-3, 400, 600)])
-    counts = np.arange(0, 700)
-    nodes, weights = np.polynomial.hermite_e.hermegauss(31)
-    values = anscombe(counts[:, None] + sigma * nodes[None, :], sigma) @ (weights / weights.sum())
-    return np.array([poisson.pmf(counts, m) @ values for m in means]), means
-
-
-def gat_bm3d(image: Array, alpha: float = 1.0, sigma: float = 0.0) -> Array:
-    """Generalised Anscombe transform, BM3D, exact unbiased inverse."""
-    import bm3d
-
-    stable = bm3d.bm3d(anscombe(image / alpha, sigma / alpha), 1.0)
-    table, means = _exact_inverse(round(sigma / alpha, 6))
-    inverse = np.interp(stable, table, means)
-    above = stable > table[-1]
-    inverse[above] = stable[above] ** 2 / 4 - 0.125 - (sigma / alpha) ** 2
-    return alpha * inverse
-
-
-def gat_nlm(image: Array, alpha: float = 1.0, sigma: float = 0.0) -> Array:
-    from skimage.restoration import denoise_nl_means
-
-    stable = anscombe(image / alpha, sigma / alpha)
-    smooth = denoise_nl_means(stable, patch_size=5, patch_distance=7, h=0.8, sigma=1.0, fast_mode=True)
-    table, means = _exact_inverse(round(sigma / alpha, 6))
-    return alpha * np.interp(smooth, table, means)
-
-
-SKIPPED: set[str] = set()
-
-
-def wanted(method: str) -> bool:
-    return method not in SKIPPED
-
-
-def picture(name: str, side: int = 256) -> Array:
-    """One of scikit-image's pictures in grey, resized, maximum 1."""
-    if name == "camera":
-        return photograph(side)
-    from skimage import color, data, transform
-
-    image = np.asarray(getattr(data, name)(), dtype=float)
-    grey = color.rgb2gray(image) if image.ndim == 3 else image
-    small = transform.resize(grey, (side, side), anti_aliasing=True)
-    return np.asarray(small / small.max())
 
 
 def poisson_table(quick: bool) -> list[str]:
@@ -261,17 +196,6 @@ def real_table(quick: bool) -> list[str]:
     return [*out, "", "Mean square error of the prediction relative to that of the raw frames."]
 
 
-def timed(run: Callable[[], object], repeats: int) -> Array:
-    """Median wall and processor seconds."""
-    run()
-    times = []
-    for _ in range(repeats):
-        wall, busy = time.perf_counter(), time.process_time()
-        run()
-        times.append((time.perf_counter() - wall, time.process_time() - busy))
-    return np.median(times, axis=0)
-
-
 def time_table(quick: bool) -> list[str]:
     """Time per 512 x 512 frame in movies, as ratios within this run."""
     rng = np.random.default_rng(0)
@@ -335,115 +259,6 @@ def multi_poisson(quick: bool) -> list[str]:
         x = np.stack([np.roll(image, s, axis=1) for s in steps]) * 10
         y = rng.poisson(x)
         out.append(row(f"{speed:g}", psnr(pure_let_movie(y, neighbours=0), x, 10), psnr(pure_let_movie(y), x, 10)))
-    return out
-
-
-def nlm_refined(data: Array, pilot: Array, noise: Noise) -> Array:
-    """scikit-image's non-local means in the place of `patches.refined`: white by the tangent at the pilot."""
-    from skimage.restoration import denoise_nl_means
-
-    level = np.sqrt(noise.alpha * np.maximum(pilot, 0.1 * noise.alpha) + noise.variance)
-    known = 2 / noise.alpha * level
-    white = known + (data - pilot) / level
-    smooth = denoise_nl_means(white, patch_size=5, patch_distance=7, h=0.8, sigma=1.0, fast_mode=True)
-    return np.asarray(pilot + level * (smooth - known), np.float32)
-
-
-def second_pass_table(quick: bool) -> list[str]:
-    """What `denoise/patches.py` is for, against libraries in its place: single images, PSNR and seconds."""
-    from napari_mufasa.denoise import patches
-
-    rng = np.random.default_rng(7)
-    images = [("camera", picture("camera") * peak, 1.0, 0.0) for peak in ((10,) if quick else (3, 10, 30))]
-    for name, scene in (("EMCCD spots", spots), ("EMCCD filaments", filaments)):
-        images += [(name, scene(rng, 1, 256)[0] * peak, 2.0, 50 / 300) for peak in ((10,) if quick else (3, 10, 30))]
-    out = header("image", "peak", "first pass (`undecimated`)", "`pure_let`", "NLM as second pass", "GAT + NLM",
-                 "GAT + BM3D", "seconds: first", "`pure_let`", "NLM second", "GAT + BM3D")  # fmt: skip
-    own = patches.refined
-    for name, x, alpha, sigma in images:
-        peak = float(x.max())
-        counts = rng.poisson(x)
-        y = (rng.standard_gamma(counts) if alpha == 2 else counts) + rng.normal(0, sigma, x.shape)
-        found, seconds = [], []
-        for method, second in (("undecimated", own), ("patches", own), ("patches", nlm_refined)):
-            patches.refined = second
-            run = partial(pure_let, y, alpha, sigma, method=method, multiplied=alpha == 2)
-            try:
-                seconds.append(float(timed(run, 1)[1]))
-                found.append(psnr(run(), x, peak))
-            finally:
-                patches.refined = own
-        found.append(psnr(gat_nlm(y, alpha, sigma), x, peak))
-        begin = time.process_time()
-        found.append(psnr(gat_bm3d(y, alpha, sigma), x, peak) if wanted("bm3d") else float("nan"))
-        seconds.append(time.process_time() - begin if wanted("bm3d") else float("nan"))
-        out.append(row(name, f"{peak:.0f}", *found, *seconds))
-    return [*out, "", "256 x 256 pixels, one draw each; processor seconds."]
-
-
-def single_pass_table(quick: bool) -> list[str]:
-    """What `denoise/fused.py` is for: one level of a plane with known weights, against candidate by candidate."""
-    from napari_mufasa.denoise import expansion
-    from napari_mufasa.denoise.kernels import per_level
-
-    rng = np.random.default_rng(0)
-    out = header("frame", "guides", "single pass, ms", "candidate by candidate, ms", "ratio")
-    for side in (512,) if quick else (512, 1024):
-        for n_guides in (0, 2):
-            planes = rng.poisson(5.0, (1 + n_guides, side, side)).astype(np.float32)
-            guides = expansion.Guides(planes[1:], np.array([0.5, 0.2], np.float32)[:n_guides])
-            weights = rng.normal(0, 0.2, per_level(n_guides)).astype(np.float32)
-            noise = Noise(1.0, np.zeros((1, 1), np.float32))
-            read = np.zeros((side, side), np.float32)
-            ms = [
-                1e3 * float(timed(partial(way, planes[0], read, guides, noise, weights, 1), 9)[1])
-                for way in (expansion.in_one_pass, expansion.candidate_by_candidate)
-            ]
-            out.append(row(f"{side} x {side}", n_guides, *ms, ms[1] / ms[0]))
-    return [*out, "", "One level, one thread, processor time, median of nine."]
-
-
-IN_A_PROCESS_OF_ITS_OWN = """
-import resource, sys
-import numpy as np, zarr
-import napari_mufasa as nm
-from benchmarks.denoise import CAMERA
-from napari_mufasa.denoise import denoise
-movie = zarr.open(sys.argv[1], mode="r")["movie"]
-out = zarr.create_array(sys.argv[1] + "-out", shape=movie.shape, chunks=movie.chunks, dtype=np.float32)
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-denoise(movie, CAMERA, out=out)
-print(before / 1024, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-"""
-
-
-def memory_table(quick: bool) -> list[str]:
-    """Peak memory of the default method from zarr to zarr, each movie in a process of its own."""
-    import subprocess
-    import sys
-    import tempfile
-
-    import zarr
-
-    rng = np.random.default_rng(0)
-    out = header("movie", "before, MB", "peak, MB", "difference in float32 frames")
-    for frames, side in ((60, 256),) if quick else ((100, 256), (300, 256), (900, 256), (100, 512), (300, 512)):
-        part = emccd(np.tile(spots(rng, 20, 128), (1, side // 128, side // 128)) * 5, rng)
-        with tempfile.TemporaryDirectory() as folder:
-            stack = zarr.open_group(f"{folder}/m.zarr", mode="w").create_array(
-                "movie", shape=(frames, side, side), chunks=(20, side, side), dtype=np.uint16
-            )
-            for start in range(0, frames, 20):
-                stack[start : start + 20] = part
-            ran = subprocess.run(
-                [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN, f"{folder}/m.zarr"],
-                capture_output=True, text=True, check=True,
-            )  # fmt: skip
-        before, peak = (float(v) for v in ran.stdout.split())
-        of_a_frame = 4 * side * side / 2**20
-        out.append(
-            row(f"{frames} x {side} x {side}", f"{before:.0f}", f"{peak:.0f}", f"{(peak - before) / of_a_frame:.0f}")
-        )
     return out
 
 

@@ -7,7 +7,8 @@ import pytest
 from tests.real_data import real_data
 
 import napari_mufasa as nm
-from napari_mufasa.calibrate.measure import calibrate, leading_dark_frames
+from napari_mufasa.calibrate.dark import leading_dark_frames
+from napari_mufasa.calibrate.measure import calibrate
 
 
 def movie_and_dark(name, **changes):

@@ -33,7 +33,7 @@ from napari_mufasa.cli.options import (
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
-    from napari_mufasa.calibrate.measure import Value
+    from napari_mufasa.calibrate.value import Value
     from napari_mufasa.model.setup import Camera
     from napari_mufasa.report.figures import Drawing
     from napari_mufasa.traces.extract import TraceSet

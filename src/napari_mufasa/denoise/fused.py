@@ -4,7 +4,7 @@ The image is worked on in strips of `WIDTH` blocks, row by row from the top, and
 rows above and below stays in the processor's cache, in a ring of rows. Rows of one buffer lie a fixed distance apart:
 the compiler sees that they never overlap and works on eight columns at once in loops that do much. The arithmetic is
 that of `kernels`, which keeps every candidate for itself, as the risk needs it; a test holds the two together. A sum
-made of those candidates takes 7 to 19 times as long: ``python -m benchmarks.denoise --only "single pass"``.
+made of those candidates takes 5 to 19 times as long: ``python -m benchmarks.denoise --only "single pass"``.
 """
 
 from __future__ import annotations

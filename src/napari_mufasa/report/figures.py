@@ -1,4 +1,4 @@
-"""Which figures a report has, their sizes and captions; how each is drawn is in `plotting`."""
+"""Which figures a report has, their sizes and captions; how each is drawn is in `plots`."""
 
 from __future__ import annotations
 
