@@ -25,18 +25,18 @@ line `--effect KIND:NAME=VALUE,…`. [Discovery](discovery.md) searches these {n
 
 ## How to read this page
 
-**Plausible** is the range that discovery searches, for movies of {frames:.0f} frames of {frame_ms:.0f} ms ({movie_s:.0f} s)
-and a read noise of {noise_adu:.0f} ADU. A note behind it says what the range follows in other movies: *∝ movie* means that
-it grows with the length of the movie, *∝ 1/frame* that it shrinks with longer frames. Ranges marked *log* are searched by
-the logarithm. The parameter called the **strength** switches the effect off at the value in its row. Parameters marked
-with forms matter to those forms only.
+**Plausible** is the range that discovery searches, for movies of {frames:.0f} frames of {frame_ms:.0f} ms
+({movie_s:.0f} s) and a read noise of {noise_adu:.0f} ADU. A note behind it says what the range follows in other movies:
+*∝ movie* means that it grows with the length of the movie, *∝ 1/frame* that it shrinks with longer frames. Ranges
+marked *log* are searched by the logarithm. The parameter called the **strength** switches the effect off at the value
+in its row. Parameters marked with forms matter to those forms only.
 
 **Forms** are functional forms of one mechanism; the first is the default. Some are shared:
 
 | form | meaning |
 |---|---|
 | `linear`, `saturating`, `accelerating` | the change grows evenly, fast at first, or fast at the end |
-| `step` | at once: at `step_at` (share of the movie) and within `step_frames` where the effect has them, else in the middle |
+| `step` | at once: at `step_at` (share of the movie), within `step_frames`; where it has neither, in the middle |
 | `wandering` | by a course over time: read off the movie where one is given, else a random walk |
 | `as_seen` | by a map or a course that was read off the movie |
 
@@ -104,7 +104,9 @@ def parameter_row(effect: type[Effect], name: str) -> str:
 def allowed(field: Any) -> str:
     """The hard limits of a field: "> 0, ≤ 1"."""
     signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
-    return ", ".join(f"{sign} {getattr(m, at):g}" for m in field.metadata for at, sign in signs.items() if hasattr(m, at))
+    return ", ".join(
+        f"{sign} {getattr(m, at):g}" for m in field.metadata for at, sign in signs.items() if hasattr(m, at)
+    )
 
 
 def plausible(extra: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""CCD, EMCCD and CMOS detectors: `expose` (photons → ADU) and its inverse, side by side (SPEC.md §4, §5).
+"""CCD, EMCCD and CMOS detectors: `expose` (photons → ADU) and its inverse, side by side (docs/camera.md).
 
 The steps are numbered in both directions. Imperfections hook in between the steps (`SensorHooks`); an ideal
 sensor has none.
@@ -98,7 +98,7 @@ def expose(
 
 
 def output_electrons(movie: NDArray[Any], camera: Camera) -> Stack:
-    """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (SPEC.md §5.1). Negative values are kept on purpose."""
+    """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (docs/camera.md). Negative values are kept on purpose."""
     _check_maps(movie, camera)
     half = np.float32(0.5) - baseline_map_adu(camera)
     mean_e = np.float32(camera.read_noise_mean_e)

@@ -1,4 +1,4 @@
-"""Camera effects: what a real sensor does beyond the ideal one (SPEC.md §9).
+"""Camera effects: what a real sensor does beyond the ideal one (docs/effects.md).
 
 Electrons here are output electrons unless a name says photoelectrons; strengths are given in units a data
 sheet or a dark frame shows.

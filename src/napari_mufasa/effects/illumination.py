@@ -1,4 +1,4 @@
-"""Illumination effects: light that is not the same everywhere or always (SPEC.md §9)."""
+"""Illumination effects: light that is not the same everywhere or always (docs/effects.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion effects: the stage, the focus, the molecules (SPEC.md §9)."""
+"""Motion effects: the stage, the focus, the molecules (docs/effects.md)."""
 
 from __future__ import annotations
 

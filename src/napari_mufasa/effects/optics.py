@@ -1,4 +1,4 @@
-"""Optics and background effects (SPEC.md §9)."""
+"""Optics and background effects (docs/effects.md)."""
 
 from __future__ import annotations
 

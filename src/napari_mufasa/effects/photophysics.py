@@ -1,4 +1,4 @@
-"""Photophysics effects: further states, missing transitions, unequal molecules (SPEC.md §9)."""
+"""Photophysics effects: further states, missing transitions, unequal molecules (docs/effects.md)."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Effect(BaseModel):
 
     Class attributes
     ----------------
-    kind : identifier in model.json (SPEC.md §9)
+    kind : identifier in model.json (docs/effects.md)
     stage : one of `STAGES`
     strength : name of the parameter whose zero (or `null_value`) switches the effect off
     title, what_it_is, what_it_does, how_to_check : one paragraph a biologist understands, in three sentences
@@ -102,6 +102,7 @@ class Effect(BaseModel):
 
     @classmethod
     def unit(cls, name: str) -> str:
+        """The unit of a parameter, "" without one."""
         extra = cls.model_fields[name].json_schema_extra
         return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
@@ -123,6 +124,7 @@ class Effect(BaseModel):
 
     @property
     def form_name(self) -> str:
+        """The functional form it has, "" where there is only one."""
         return str(getattr(self, "form", ""))
 
 

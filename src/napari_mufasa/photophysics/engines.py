@@ -1,4 +1,4 @@
-"""Two engines, one answer: photons per frame of many copies of one chain (SPEC.md §2).
+"""Two engines, one answer: photons per frame of many copies of one chain (docs/photophysics.md).
 
 Both run the same jump kernel. *exact* runs the full chain and counts photons at their jumps. *fast* first
 merges {S0, S1} into one bright state, whose photons are then Poisson given its time in the light; dwell
@@ -70,7 +70,7 @@ def merge_bright_states(
 ) -> tuple[Chain, NDArray[np.float64]] | str:
     """The chain with every {S0, S1} pair merged and each state's photon rate at full light; or why not.
 
-    A merged state leaves with rate k01·p, p = k1x/Σk1, and emits with rate k01·k10/(k01+Σk1) (SPEC.md §2).
+    A merged state leaves with rate k01·p, p = k1x/Σk1, and emits with rate k01·k10/(k01+Σk1) (docs/photophysics.md).
     """
     pairs = chain.emitting_pairs()
     if not pairs:

@@ -1,4 +1,4 @@
-"""The whole chain in one place: sample → emission → optical image → movie (SPEC.md §2–4)."""
+"""The whole chain in one place: sample → emission → optical image → movie (docs/words.md)."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Simulation:
 class SimulatedAcquisition:
     """A simulated acquisition whose frames are recorded on demand, block by block.
 
-    Holds the emission, the photons that images are made of (both (molecule, frame), and the same unless
-    `Optics.emission_noise` is below 1) and courses per frame, never the movie: use it to stream movies larger than
-    memory.
+    Parameters as for `simulate`. Holds the emission, the photons that images are made of (both (molecule, frame), and
+    the same unless `Optics.emission_noise` is below 1) and courses per frame, never the movie: use it to stream movies
+    larger than memory.
     """
 
     def __init__(
@@ -70,6 +70,7 @@ class SimulatedAcquisition:
 
     @property
     def n_frames(self) -> int:
+        """Frames of the movie."""
         return self.scene.n_frames
 
     def record_instead(self, emission: NDArray[Any]) -> None:
@@ -124,9 +125,10 @@ def simulate(
     model : what to simulate, effects included
     positions_px : (molecule, 2) positions (y, x) in detector pixels; None: the model's sample layout
     seed : the same seed gives the same movie, whatever `workers`
-    engine : "fast" or "exact" (SPEC.md §2)
+    engine : "fast" or "exact" (docs/photophysics.md)
     progress : called with (frames done, frames in all); cancel : returns True to stop (raises `Cancelled`)
 
+    Raises `MufasaError` for positions, a seed or an engine that cannot be used.
     Peak memory: the result (optical 4 bytes and movie 2 bytes per pixel and frame) and one block per worker.
     For movies larger than memory use `SimulatedAcquisition.blocks`.
     """
@@ -145,7 +147,7 @@ def simulate_emission(
     """Photons emitted per molecule and frame, (molecule, frame) int64; no optics, no camera.
 
     Molecules are spread over the field, so that effects across the field act on them too. An effect that
-    puts several emitters in a spot adds rows.
+    puts several emitters in a spot adds rows. Raises `MufasaError` for a number or a seed that cannot be used.
     """
     if isinstance(n_molecules, bool) or not isinstance(n_molecules, (int, np.integer)) or n_molecules < 0:
         raise MufasaError(f"n_molecules = {n_molecules!r}: give a whole number ≥ 0")
@@ -156,7 +158,11 @@ def simulate_emission(
 
 
 def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint16]:
-    """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects."""
+    """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects.
+
+    The sensor's patterns are those of the movie with the same seed, its noise is not. Raises `MufasaError` for a number
+    of frames or a seed that cannot be used.
+    """
     if isinstance(n_frames, bool) or not isinstance(n_frames, (int, np.integer)) or n_frames < 1:
         raise MufasaError(f"n_frames = {n_frames!r}: give a whole number ≥ 1")
     need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
@@ -181,7 +187,7 @@ def _imaged(emission: NDArray[np.int64], expected: NDArray[np.float64], noise_ke
     """Photons (molecule, frame) that images are made of: the emission, with a share of the variance of its noise.
 
     N emitted photons of which each is detected with chance p make a count of variance p E[N] + p² (Var N − E[N]): light
-    that is Poisson stays Poisson. A Poisson detection of the image of N (SPEC.md §4) has p E[N] + p² Var N instead,
+    that is Poisson stays Poisson. A Poisson detection of the image of N (docs/camera.md) has p E[N] + p² Var N instead,
     which is right when none of the noise of Poisson light is kept in the image.
     """
     if noise_kept == 1:
