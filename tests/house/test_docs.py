@@ -204,3 +204,10 @@ def test_every_key_of_a_report_is_told():
     assert set(made) | set(made["ranking"][0]) <= told | {"effect"}
     assert told <= set(made) | set(made["ranking"][0])
     assert all(f"`{key}`" in text_of("files.md") or f'"{key}"' in text_of("files.md") for key in made["failing"][0])
+
+
+def test_every_column_of_a_table_of_molecules_is_told():
+    model = nm.preset("FF").with_values({"acquisition.n_frames": 20, "acquisition.shape_px": [32, 32]})
+    found = nm.extract_traces(nm.simulate(model, seed=1).movie, model.camera, psf_sigma_px=model.sigma_px)
+    rows = rows_of(text_of("files.md").split("## Traces")[1].split("\n## ")[0])[2:]
+    assert {name for row in rows for name in re.findall(r"`(\w+)`", row[0])} == set(found.molecules.columns)
