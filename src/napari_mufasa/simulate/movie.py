@@ -146,8 +146,10 @@ def simulate_emission(
 ) -> NDArray[np.int64]:
     """Photons emitted per molecule and frame, (molecule, frame) int64; no optics, no camera.
 
+    Raises `MufasaError` for a number of molecules, a seed or an engine that cannot be used.
+
     Molecules are spread over the field, so that effects across the field act on them too. An effect that
-    puts several emitters in a spot adds rows. Raises `MufasaError` for a number or a seed that cannot be used.
+    puts several emitters in a spot adds rows.
     """
     if isinstance(n_molecules, bool) or not isinstance(n_molecules, (int, np.integer)) or n_molecules < 0:
         raise MufasaError(f"n_molecules = {n_molecules!r}: give a whole number ≥ 0")
