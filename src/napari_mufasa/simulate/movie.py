@@ -146,8 +146,6 @@ def simulate_emission(
 ) -> NDArray[np.int64]:
     """Photons emitted per molecule and frame, (molecule, frame) int64; no optics, no camera.
 
-    Raises `MufasaError` for a number of molecules, a seed or an engine that cannot be used.
-
     Molecules are spread over the field, so that effects across the field act on them too. An effect that
     puts several emitters in a spot adds rows.
     """
