@@ -12,7 +12,7 @@ from napari_mufasa import Effect, Model, MufasaError, simulate, simulate_emissio
 from napari_mufasa.effects import catalogue, effect_from_data
 from napari_mufasa.model.effect import STAGES, parameter
 
-from .helpers import effect, plain
+from .helpers import ccd, cmos, effect, plain
 
 CONTRACT = {
     "photophysics": "triplet_blinking long_dark_state photobleaching delayed_activation brightness_heterogeneity "
@@ -70,7 +70,7 @@ def test_null_strength_is_the_base_model(kind, form):
     """Exactly: the same emission, optical image and movie, bit by bit."""
     cls = catalogue()[kind]
     base = simulate(plain(), seed=1)
-    null = simulate(plain().with_effects(with_form(kind, form, **{cls.strength: cls.null_value})), seed=1)
+    null = simulate(plain().with_effects(with_form(kind, form, **{cls.strength: cls.none_at(plain())})), seed=1)
     np.testing.assert_array_equal(null.emission, base.emission)
     np.testing.assert_allclose(null.optical, base.optical, rtol=1e-6)
     assert np.mean(null.movie != base.movie) < 1e-3  # rounding of the light by 1e-7 may move a count
@@ -121,11 +121,14 @@ def test_wrong_parameters_are_refused(kind):
         cls(no_such_parameter=1)
 
 
-def test_em_noise_suits_em_cameras_only():
-    assert catalogue()["em_excess_noise"].suits(plain())
-    ccd = plain().to_dict()
-    ccd["camera"] |= {"type": "CCD", "em_gain": None}
-    assert not catalogue()["em_excess_noise"].suits(Model.from_dict(ccd))
+def test_em_noise_suits_cameras_that_have_or_may_have_a_register():
+    """A camera believed a CCD may have its register on; a diagnosis looks for that only when asked to."""
+    em_noise = catalogue()["em_excess_noise"]
+    models = {"EMCCD": plain(), "CCD": ccd(), "CMOS": cmos()}
+    assert [em_noise.suits(models[c]) for c in ("EMCCD", "CCD", "CMOS")] == [True, True, False]
+    assert [em_noise.considered_in(models[c]) for c in ("EMCCD", "CCD", "CMOS")] == [True, False, False]
+    assert [em_noise.none_at(models[c]) for c in ("EMCCD", "CCD")] == [2.0, 1.0]
+    assert em_noise.plausible(ccd())["excess_noise_factor"][:2] == (1.0, 2.0)
 
 
 class Dimming(Effect):

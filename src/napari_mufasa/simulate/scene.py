@@ -144,7 +144,7 @@ def build_scene(model: Model, positions_px: NDArray[np.floating[Any]], streams: 
         shift_px=np.zeros((n, 2)),
         background=np.ones(n),
     )
-    for effect in model.effects:
+    for effect in sorted(model.effects, key=lambda e: e.order):
         effect.apply(scene, streams.of(f"effect {effect.kind}"))
     return scene
 
