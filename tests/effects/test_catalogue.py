@@ -21,8 +21,9 @@ CONTRACT = {
     "sample motion": "stage_drift focus_drift molecule_diffusion",
     "optics and background": "astigmatism background_gradient background_decay",
     "camera": "em_excess_noise clock_induced_charge pixel_gain_variation column_offset row_noise hot_pixels "
-    "detector_saturation image_lag baseline_drift cosmic_rays",
+    "detector_saturation image_lag baseline_drift cosmic_rays serial_readout frame_baseline converter_codes",
 }
+NEW = "serial_readout frame_baseline converter_codes".split()
 KINDS = [kind for kinds in CONTRACT.values() for kind in kinds.split()]
 FORMS = [(kind, form) for kind in KINDS for form in catalogue()[kind].forms()]
 
@@ -31,8 +32,8 @@ def with_form(kind, form, **values):
     return effect(kind, **values, **({"form": form} if form else {}))
 
 
-def test_all_26_identifiers_are_there_in_order_and_in_their_stage():
-    assert list(catalogue())[:26] == KINDS
+def test_all_identifiers_are_there_in_order_and_in_their_stage():
+    assert list(catalogue())[: len(KINDS)] == KINDS
     for stage, kinds in CONTRACT.items():
         for kind in kinds.split():
             assert catalogue()[kind].stage == stage and stage in STAGES
@@ -53,6 +54,11 @@ def test_an_effect_explains_itself(kind):
         assert low <= default <= high, name
         cls(**{name: low}), cls(**{name: high})  # the hard limits hold the plausible range
     assert cls.strength in cls.plausible()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_diagnosis_looks_for_the_new_ones_only_when_asked(kind):
+    assert catalogue()[kind].considered_in(plain()) == (kind not in NEW)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -171,7 +177,7 @@ def installed(monkeypatch):
 
 def test_a_third_party_adds_an_effect_by_one_class(installed, tmp_path):
     installed(dimming=Dimming)
-    assert list(catalogue())[26:] == ["test_dimming"]
+    assert list(catalogue())[len(KINDS) :] == ["test_dimming"]
     data = plain().to_dict() | {"effects": [{"kind": "test_dimming", "loss": 0.75}]}
     model = Model.from_dict(data)
     model.to_json(tmp_path / "model.json")

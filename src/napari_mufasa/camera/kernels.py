@@ -93,3 +93,28 @@ def digitise(electrons, electrons_per_adu, baseline, most):  # type: ignore[no-u
                 adu = np.floor(electrons[f, y, x] / electrons_per_adu + baseline[y, x])
                 counts[f, y, x] = np.int32(min(max(adu, np.float32(0.0)), top))
     return counts
+
+
+@jit
+def digitise_unevenly(electrons, electrons_per_adu, baseline, most, begins):  # type: ignore[no-untyped-def]
+    """Like `digitise`, but code k begins at begins[k] (ascending, float64) instead of k, and so on periodically."""
+    n_frames, height, width = electrons.shape
+    period = begins.size
+    nearest = np.zeros(period, np.int64)  # the last code that has begun a whole number of ADU after the first one
+    for cell in range(period):
+        k = nearest[max(cell - 1, 0)]
+        while k + 1 < period and begins[k + 1] - begins[0] <= cell:
+            k += 1
+        nearest[cell] = k
+    counts = np.empty(electrons.shape, np.uint16)
+    for f in range(n_frames):
+        for y in range(height):
+            for x in range(width):
+                adu = np.float64(electrons[f, y, x] / electrons_per_adu + baseline[y, x]) - begins[0]
+                periods = math.floor(adu / period)
+                rest = adu - periods * period
+                k = nearest[min(max(int(rest), 0), period - 1)]
+                while k + 1 < period and begins[k + 1] - begins[0] <= rest:
+                    k += 1
+                counts[f, y, x] = np.int32(min(max(periods * period + k, 0), most))
+    return counts
