@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from napari_mufasa import Effect, Model, MufasaError, simulate, simulate_emission
+from napari_mufasa import Effect, Model, MufasaError, simulate, simulate_dark, simulate_emission
 from napari_mufasa.effects import catalogue, effect_from_data
 from napari_mufasa.model.effect import STAGES, parameter
 
@@ -16,14 +16,21 @@ from .helpers import ccd, cmos, effect, plain
 
 CONTRACT = {
     "photophysics": "triplet_blinking long_dark_state photobleaching delayed_activation brightness_heterogeneity "
-    "multiple_emitters",
+    "multiple_emitters level_switching dim_population brightness_wander",
     "illumination": "illumination_profile laser_drift laser_flicker periodic_modulation",
-    "sample motion": "stage_drift focus_drift molecule_diffusion",
-    "optics and background": "astigmatism background_gradient background_decay",
+    "sample motion": "stage_drift focus_drift molecule_diffusion binding",
+    "optics and background": "astigmatism background_gradient background_decay background_as_measured psf_halo",
     "camera": "em_excess_noise clock_induced_charge pixel_gain_variation column_offset row_noise hot_pixels "
     "detector_saturation image_lag baseline_drift cosmic_rays serial_readout frame_baseline converter_codes",
 }
-NEW = "serial_readout frame_baseline converter_codes".split()
+NEW = {
+    "level_switching", "dim_population", "brightness_wander", "binding", "background_as_measured", "psf_halo",
+    "serial_readout", "frame_baseline", "converter_codes",
+}  # fmt: skip
+STRONG = {  # what it takes to be seen within a short movie: rare events, measurements
+    "cosmic_rays": {"hits_per_frame": 2.0},
+    "background_as_measured": {"map": (0.5, 1.0, 1.0, 1.5), "map_columns": 2, "course": (0.7, 1.3)},
+}
 KINDS = [kind for kinds in CONTRACT.values() for kind in kinds.split()]
 FORMS = [(kind, form) for kind in KINDS for form in catalogue()[kind].forms()]
 
@@ -76,18 +83,23 @@ def test_null_strength_is_the_base_model(kind, form):
     """Exactly: the same emission, optical image and movie, bit by bit."""
     cls = catalogue()[kind]
     base = simulate(plain(), seed=1)
-    null = simulate(plain().with_effects(with_form(kind, form, **{cls.strength: cls.none_at(plain())})), seed=1)
+    null = simulate(
+        plain().with_effects(with_form(kind, form, **STRONG.get(kind, {}) | {cls.strength: cls.none_at(plain())})),
+        seed=1,
+    )
     np.testing.assert_array_equal(null.emission, base.emission)
+    if kind in NEW:
+        np.testing.assert_array_equal(null.optical, base.optical)
+        np.testing.assert_array_equal(null.movie, base.movie)
     np.testing.assert_allclose(null.optical, base.optical, rtol=1e-6)
     assert np.mean(null.movie != base.movie) < 1e-3  # rounding of the light by 1e-7 may move a count
 
 
 @pytest.mark.parametrize(("kind", "form"), FORMS)
 def test_every_form_runs_and_does_something(kind, form):
-    strong = {"hits_per_frame": 2.0} if kind == "cosmic_rays" else {}
     model = plain(frame_length_s=0.1)  # 4 s: rare events happen
     base = simulate(model, seed=1)
-    changed = simulate(model.with_effects(with_form(kind, form, **strong)), seed=1)
+    changed = simulate(model.with_effects(with_form(kind, form, **STRONG.get(kind, {}))), seed=1)
     assert changed.movie.shape == base.movie.shape
     assert np.any(changed.movie != base.movie)
 
@@ -99,6 +111,29 @@ def test_every_effect_runs_on_every_protocol_and_in_one_frame(kind, protocol):
     values |= {"excitation.activation_rate_per_s": 20.0, "fluorophore.cycles_before_bleaching": 5000}
     model = plain(n_frames=1, shape=(16, 16), **values).with_effects(effect(kind))
     assert simulate(model, seed=1).movie.shape == (1, 16, 16)
+
+
+@pytest.mark.parametrize("camera", [plain, ccd, cmos])
+@pytest.mark.parametrize("kind", sorted(NEW))
+def test_new_effects_run_with_both_engines_in_blocks_and_in_the_dark(kind, camera, monkeypatch):
+    base = camera(**{"acquisition.n_frames": 6, "acquisition.frame_length_s": 1e-3, "acquisition.shape_px": [16, 16]})
+    if not catalogue()[kind].suits(base):
+        pytest.skip(f"{kind} does not suit a {base.camera.type}")
+    model = Model.from_dict(base.with_effects(effect(kind, **STRONG.get(kind, {}))).to_dict())
+    for engine in ("fast", "exact"):
+        whole = simulate(model, seed=1, engine=engine)
+        assert whole.movie.shape == (6, 16, 16) and len(whole.emission) == len(whole.positions_px)
+    assert simulate_dark(model, 3, seed=1).shape == (3, 16, 16)
+    monkeypatch.setattr("napari_mufasa.simulate.movie.BLOCK_BYTES", 1)  # frame by frame, by two workers
+    np.testing.assert_array_equal(simulate(model, seed=1, engine="exact", workers=2).movie, whole.movie)
+
+
+def test_the_order_of_effects_that_add_or_follow_molecules_does_not_matter():
+    chosen = [
+        effect(k) for k in ("binding", "molecule_diffusion", "dim_population", "brightness_wander", "stage_drift")
+    ]
+    one, two = (simulate(plain(n_frames=8).with_effects(*order), seed=2) for order in (chosen, chosen[::-1]))
+    np.testing.assert_array_equal(one.movie, two.movie)
 
 
 def test_all_effects_at_once_in_any_order():

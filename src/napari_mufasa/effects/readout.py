@@ -1,4 +1,4 @@
-"""Read-out effects: what amplifier and converter do to a signal on its way to a count, in light and dark (SPEC.md §9)."""
+"""Read-out effects: what amplifier and converter do to a signal, in light and in the dark (SPEC.md §9)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class SerialReadout(Effect):
     )  # fmt: skip
     noise_ratio: float = parameter(
         1.0, ge=-5, le=5, plausible=(-1.5, 1.5), unit="",
-        description="share of the read noise over that of the signal: noise that arises behind the amplifier has another",
+        description="share of the read noise over that of the signal; noise from behind the amplifier has another",
     )  # fmt: skip
     form: Literal["one_pixel", "tail"] = "one_pixel"
 
@@ -111,7 +111,8 @@ class FrameBaseline(Effect):
             else:
                 draws = (scene.streams.of("frame baseline", int(f)).standard_normal() for f in frames)
                 offset = np.fromiter(draws, np.float64, len(frames))
-            return electrons + (size * offset).astype(np.float32)[:, None, None]
+            raised: Stack = electrons + (size * offset).astype(np.float32)[:, None, None]
+            return raised
 
         scene.sensor.output.append(add)
 

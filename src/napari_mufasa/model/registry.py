@@ -12,7 +12,7 @@ from typing import Any
 from napari_mufasa.model.effect import Effect
 
 ENTRY_POINT_GROUP = "napari_mufasa.effects"
-BUILT_IN = ("photophysics", "illumination", "motion", "optics", "camera", "readout")  # modules of `effects`, by stage
+BUILT_IN = ("photophysics", "molecules", "illumination", "motion", "optics", "camera", "readout")  # by stage
 
 
 @cache
