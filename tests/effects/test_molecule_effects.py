@@ -42,7 +42,7 @@ def test_two_levels_have_their_mean_and_covariance_from_the_first_frame_on(engin
 
 
 def test_levels_and_dwell_times_of_single_traces():
-    """672 photons in 1 ms, less k01/k10: each frame tells its level. Dwell times of 100 and 50 frames are exponential."""
+    """672 photons in 1 ms, less k01/k10: each frame tells its level. Dwell times (100, 50 frames) are exponential."""
     values = {"excitation.power_density_w_per_cm2": 200.0}
     added = effect("level_switching", to_low_per_s=20.0, to_full_per_s=10.0, level=0.4)
     counts = simulate_emission(plain(n_frames=1200, frame_length_s=1e-3, **values).with_effects(added), 1500, seed=2)
