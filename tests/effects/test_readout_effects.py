@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_dark
-from napari_mufasa.effects.readout import along_rows, code_begins
+from napari_mufasa.effects.readout import along_rows, code_begins, row_kernel
 
 from .helpers import ccd, cmos, effect, plain, scene_of
 
@@ -86,6 +86,33 @@ def test_dark_rows_have_a_share_of_their_own_and_keep_mean_and_rms(ratio, form):
     expected = np.sum(weights[1:] * weights[:-1]) / np.sum(weights**2)
     assert correlation(z, 1) == pytest.approx(expected, abs=4.5 / np.sqrt(z.size))
     assert abs(correlation(z, 1, axis=1)) < 4.5 / np.sqrt(z.size)
+
+
+@pytest.mark.parametrize("kernel", [(1.0,), (1.0, -0.165), (1.0, 0.21, 0.03), (1.0, 0.1, -0.07, -0.15)])
+def test_a_kernel_is_known_from_its_correlations(kernel):
+    kernel = np.array(kernel)
+    found = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :]
+    np.testing.assert_allclose(row_kernel(found[1:] / found[0]), kernel, atol=1e-6)
+    assert np.all(np.isfinite(row_kernel(np.array([0.9]))))  # more than any noise has
+
+
+def test_dark_rows_as_measured_beside_a_share_of_the_light():
+    """What an iXon 888 shows: light lags by one pixel, read noise rings over several."""
+    seen = np.array([0.087, -0.069, -0.136])
+    kernel = tuple(row_kernel(seen))
+    added = effect("serial_readout", share=-0.165, noise_kernel=kernel)
+    noisy = {"camera.read_noise_e": 10.0}
+    movie = dark(added, **noisy)
+    z = inner(movie, skip=3)
+    assert np.mean(z**2) == pytest.approx((100 + 1 / 12) * (1 - 1 / len(movie)), rel=5 * np.sqrt(2 / z.size))
+    for lag, law in enumerate(seen, 1):
+        assert correlation(z, lag) == pytest.approx(law, abs=5 / np.sqrt(z.size))
+    light = flat(added, **noisy)
+    z = inner(light, skip=3)
+    signal = np.array([1 + 0.165**2, -0.165, 0, 0]) * LIGHT / (1 - 0.165) ** 2
+    total = signal + 100 * np.array([1, *seen])
+    for lag in (1, 2, 3):
+        assert correlation(z, lag) == pytest.approx(total[lag] / total[0], abs=5 / np.sqrt(z.size))
 
 
 def test_the_share_comes_from_the_left_and_sums_to_the_signal():

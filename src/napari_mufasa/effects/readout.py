@@ -46,6 +46,11 @@ class SerialReadout(Effect):
         1.0, ge=-5, le=5, plausible=(-1.5, 1.5), unit="",
         description="share of the read noise over that of the signal; noise from behind the amplifier has another",
     )  # fmt: skip
+    noise_kernel: tuple[float, ...] = Field(
+        (),
+        description="read noise of the pixel itself and of those before it, as dark frames show (see `row_kernel`); "
+        "() after noise_ratio",
+    )
     form: Literal["one_pixel", "tail"] = "one_pixel"
 
     @classmethod
@@ -67,6 +72,8 @@ class SerialReadout(Effect):
         signal = self.kernel(self.share)
         signal = signal / signal.sum()
         noise = self.kernel(float(np.clip(self.share * self.noise_ratio, SHORTEST, LONGEST)))
+        if any(self.noise_kernel):
+            noise = np.array(self.noise_kernel)
         noise = noise / np.sqrt(np.sum(noise**2))
         mean_e = np.float32(scene.setup.camera.read_noise_mean_e)
         scene.sensor.amplifier.append(lambda e, frames: along_rows(e, signal))
@@ -80,6 +87,23 @@ def along_rows(electrons: Stack, weights: NDArray[np.float64]) -> Stack:
     padded[len(weights) - 1 :] = weights
     mixed: Stack = ndimage.convolve1d(electrons, padded, axis=-1, mode="nearest")
     return mixed
+
+
+def row_kernel(correlations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The weights of a pixel and of those before it (lag,), first 1, that correlate even noise as given: correlations
+    along a row at lags 1, 2 … (lag − 1,), as dark frames show them; farther lags are taken as none.
+
+    Of all such kernels the one of least delay (by the cepstrum). Correlations that no noise can have are brought down
+    to what it can have.
+    """
+    n = 64 * (len(correlations) + 1)
+    power = 1 + 2 * np.cos(2 * np.pi * np.outer(np.arange(n) / n, np.arange(1, len(correlations) + 1))) @ correlations
+    cepstrum = np.fft.ifft(np.log(np.maximum(power, 1e-3))).real
+    cepstrum[1 : n // 2] *= 2
+    cepstrum[n // 2 + 1 :] = 0
+    weights = np.fft.ifft(np.exp(np.fft.fft(cepstrum) / 2)).real[: len(correlations) + 1]
+    found: NDArray[np.float64] = weights / weights[0]
+    return found
 
 
 class FrameBaseline(Effect):
