@@ -100,12 +100,13 @@ def digitise_unevenly(electrons, electrons_per_adu, baseline, most, begins):  # 
     """Like `digitise`, but code k begins at begins[k] (ascending, float64) instead of k, and so on periodically."""
     n_frames, height, width = electrons.shape
     period = begins.size
-    nearest = np.zeros(period, np.int64)  # the last code that has begun a whole number of ADU after the first one
-    for cell in range(period):
-        k = nearest[max(cell - 1, 0)]
-        while k + 1 < period and begins[k + 1] - begins[0] <= cell:
+    fine = 64  # cells per ADU: hardly any holds the beginning of a code, so that processors guess the loop's end
+    last = np.zeros(period * fine, np.int64)  # the last code that has begun at the beginning of a cell
+    for cell in range(1, period * fine):
+        k = last[cell - 1]
+        while k + 1 < period and (begins[k + 1] - begins[0]) * fine <= cell:
             k += 1
-        nearest[cell] = k
+        last[cell] = k
     counts = np.empty(electrons.shape, np.uint16)
     for f in range(n_frames):
         for y in range(height):
@@ -113,7 +114,7 @@ def digitise_unevenly(electrons, electrons_per_adu, baseline, most, begins):  # 
                 adu = np.float64(electrons[f, y, x] / electrons_per_adu + baseline[y, x]) - begins[0]
                 periods = math.floor(adu / period)
                 rest = adu - periods * period
-                k = nearest[min(max(int(rest), 0), period - 1)]
+                k = last[min(int(rest * fine), period * fine - 1)]
                 while k + 1 < period and begins[k + 1] - begins[0] <= rest:
                     k += 1
                 counts[f, y, x] = np.int32(min(max(periods * period + k, 0), most))

@@ -83,9 +83,7 @@ class SerialReadout(Effect):
 def along_rows(electrons: Stack, weights: NDArray[np.float64]) -> Stack:
     """Each pixel as the weighted sum of itself and of those before it in its row (x − 1, x − 2 …), which continue level
     before the first one."""
-    padded = np.zeros(2 * len(weights) - 1)
-    padded[len(weights) - 1 :] = weights
-    mixed: Stack = ndimage.convolve1d(electrons, padded, axis=-1, mode="nearest")
+    mixed: Stack = ndimage.convolve1d(electrons, weights, axis=-1, mode="nearest", origin=-(len(weights) // 2))
     return mixed
 
 
