@@ -95,27 +95,39 @@ def digitise(electrons, electrons_per_adu, baseline, most):  # type: ignore[no-u
     return counts
 
 
+FINE = 64  # cells per ADU in the table of codes; a code narrower than a cell is missed
+
+
 @jit
 def digitise_unevenly(electrons, electrons_per_adu, baseline, most, begins):  # type: ignore[no-untyped-def]
     """Like `digitise`, but code k begins at begins[k] (ascending, float64) instead of k, and so on periodically."""
-    n_frames, height, width = electrons.shape
+    n_frames, height, _ = electrons.shape
     period = begins.size
-    fine = 64  # cells per ADU: hardly any holds the beginning of a code, so that processors guess the loop's end
-    last = np.zeros(period * fine, np.int64)  # the last code that has begun at the beginning of a cell
-    for cell in range(1, period * fine):
-        k = last[cell - 1]
-        while k + 1 < period and (begins[k + 1] - begins[0]) * fine <= cell:
+    code = np.zeros(period * FINE, np.float32)  # the code at the beginning of a cell,
+    turn = np.full(period * FINE, np.float32(period))  # where in the period it ends, if it does within the cell,
+    step = np.zeros(period * FINE, np.float32)  # and how many codes begin there
+    k = 0
+    for cell in range(period * FINE):
+        code[cell] = k
+        while k + 1 < period and (begins[k + 1] - begins[0]) * FINE < cell + 1:
+            turn[cell] = min(turn[cell], begins[k + 1] - begins[0])
+            step[cell] += 1
             k += 1
-        last[cell] = k
     counts = np.empty(electrons.shape, np.uint16)
     for f in range(n_frames):
         for y in range(height):
-            for x in range(width):
-                adu = np.float64(electrons[f, y, x] / electrons_per_adu + baseline[y, x]) - begins[0]
-                periods = math.floor(adu / period)
-                rest = adu - periods * period
-                k = last[min(int(rest * fine), period * fine - 1)]
-                while k + 1 < period and begins[k + 1] - begins[0] <= rest:
-                    k += 1
-                counts[f, y, x] = np.int32(min(max(periods * period + k, 0), most))
+            number_row(electrons[f, y], electrons_per_adu, baseline[y], begins[0], most, code, turn, step, counts[f, y])
     return counts
+
+
+@vectorised
+def number_row(electrons, electrons_per_adu, baseline, first, most, code, turn, step, counts):  # type: ignore[no-untyped-def]
+    period, top = np.float32(code.size // FINE), np.float32(most)
+    cells, last = np.float32(FINE), np.int32(code.size - 1)
+    for x in range(electrons.size):
+        adu = electrons[x] / electrons_per_adu + baseline[x] - np.float32(first)
+        whole = np.floor(adu / period) * period
+        rest = adu - whole
+        cell = min(np.int32(rest * cells), last)
+        k = code[cell] + (step[cell] if rest >= turn[cell] else np.float32(0.0))
+        counts[x] = np.int32(min(max(whole + k, np.float32(0.0)), top))
