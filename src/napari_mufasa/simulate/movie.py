@@ -15,7 +15,7 @@ from napari_mufasa.errors import Cancelled, MufasaError, need
 from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics.engines import Engine, Exposure, simulate_photons
 from napari_mufasa.simulate import layout
-from napari_mufasa.simulate.scene import Recording, Scene, build_scene
+from napari_mufasa.simulate.scene import Population, Recording, Scene, build_scene
 
 Progress = Callable[[int, int], None]
 BLOCK_BYTES = 2 * 2**20  # optical images of one block of frames: they stay close to the processor
@@ -32,6 +32,9 @@ class Simulation:
     movie : (frame, y, x) uint16, ADU
     positions_px : (molecule, 2), (y, x) at the first frame
     model, seed : what it was made from
+
+    Effects that add molecules (several emitters in a spot, molecules that come, a dim population) add rows: those of
+    molecules that come or are dim stand behind the positions given.
     """
 
     emission: NDArray[np.int64]
@@ -146,8 +149,8 @@ def simulate_emission(
 ) -> NDArray[np.int64]:
     """Photons emitted per molecule and frame, (molecule, frame) int64; no optics, no camera.
 
-    Molecules are spread over the field, so that effects across the field act on them too. An effect that
-    puts several emitters in a spot adds rows.
+    Molecules are spread over the field, so that effects across the field act on them too. Effects that add molecules
+    add rows (see `Simulation`).
     """
     if isinstance(n_molecules, bool) or not isinstance(n_molecules, (int, np.integer)) or n_molecules < 0:
         raise MufasaError(f"n_molecules = {n_molecules!r}: give a whole number ≥ 0")
@@ -178,9 +181,20 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
 
 
 def _emit(scene: Scene, engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Photons emitted and expected (molecule, frame), one population of molecules after the other."""
     timing = scene.setup.acquisition
-    exposure = Exposure(timing.frame_length_s, timing.interval_s - timing.frame_length_s, scene.light)
-    return simulate_photons(scene.chain, scene.drive(), exposure, scene.streams, engine)
+    dead_time_s = timing.interval_s - timing.frame_length_s
+    drive, each = scene.drive(), scene.light_of_each
+    first = len(drive) - sum(p.n_molecules for p in scene.populations)
+    emitted, start = [], 0
+    for kind in (Population("", scene.chain, first), *scene.populations):
+        rows = slice(start, start + kind.n_molecules)
+        start = rows.stop
+        exposure = Exposure(timing.frame_length_s, dead_time_s, scene.light, None if each is None else each[rows])
+        emitted.append(simulate_photons(kind.chain, drive[rows], exposure, scene.streams, engine, kind.name))
+    if len(emitted) == 1:
+        return emitted[0]
+    return np.concatenate([n for n, _ in emitted]), np.concatenate([expected for _, expected in emitted])
 
 
 def _imaged(emission: NDArray[np.int64], expected: NDArray[np.float64], noise_kept: float) -> NDArray[Any]:
