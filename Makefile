@@ -54,6 +54,7 @@ screenshots: setup ## pictures of the viewer, drawn under Xvfb
 
 docs: setup ## the documentation, into site/
 	@tools/setup.sh docs
+	$(PY) tools/effects_page.py > docs/.effects.md && mv docs/.effects.md docs/effects.md
 	$(PY) -m mkdocs build --strict $(ARGS)
 
 clean: ## remove what the commands made, except .venv

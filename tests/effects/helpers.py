@@ -29,6 +29,13 @@ def ccd(**values):
     return type(plain()).from_dict(data).with_values(values)
 
 
+def cmos(**values):
+    """`plain` with a CMOS camera."""
+    data = plain().to_dict()
+    data["camera"] |= {"type": "CMOS", "em_gain": None, "read_noise_e": 2.0, "electrons_per_adu": 1.0}
+    return type(plain()).from_dict(data).with_values(values)
+
+
 def effect(kind, **values):
     return catalogue()[kind](**values)
 

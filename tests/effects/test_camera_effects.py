@@ -40,6 +40,22 @@ def test_em_excess_noise_is_variance_over_mean(factor, form):
     assert electrons.var() / mean == pytest.approx(factor, abs=4 * error)
 
 
+@pytest.mark.parametrize("form", ["gamma", "low_gain"])
+@pytest.mark.parametrize("factor", [1.0, 1.5, 2.0])
+def test_a_register_that_is_on_in_a_camera_believed_a_ccd(factor, form):
+    """Mean 20 electrons stay 20; their variance is F² of it (counts are floored: − ½ and + 1/12 where they differ)."""
+    added = effect("em_excess_noise", excess_noise_factor=factor, form=form)
+    electrons = flat(added, n_frames=200)
+    np.testing.assert_array_equal(dark(added, n_frames=3), 0)
+    if factor == 1:
+        np.testing.assert_array_equal(electrons, flat(n_frames=200))
+        return
+    assert electrons.mean() == pytest.approx(19.5, abs=4 * np.sqrt(factor * 20 / electrons.size))
+    fourth = np.mean((electrons - electrons.mean()) ** 4)
+    error = np.sqrt((fourth - electrons.var() ** 2) / electrons.size)
+    assert electrons.var() - 1 / 12 == pytest.approx(factor * 20, abs=4 * error)
+
+
 def test_at_low_gain_every_electron_leaves_with_itself_at_least():
     """A register of gain g in all makes of each electron 1 + an exponential of mean g − 1: F² = 1 + (1 − 1/g)²."""
     g = 3.0

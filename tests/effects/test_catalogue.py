@@ -8,20 +8,28 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from napari_mufasa import Effect, Model, MufasaError, simulate, simulate_emission
+from napari_mufasa import Effect, Model, MufasaError, simulate, simulate_dark, simulate_emission
 from napari_mufasa.effects import catalogue, effect_from_data
 from napari_mufasa.model.effect import STAGES, parameter
 
-from .helpers import effect, plain
+from .helpers import ccd, cmos, effect, plain
 
 CONTRACT = {
     "photophysics": "triplet_blinking long_dark_state photobleaching delayed_activation brightness_heterogeneity "
-    "multiple_emitters",
+    "multiple_emitters level_switching dim_population brightness_wander",
     "illumination": "illumination_profile laser_drift laser_flicker periodic_modulation",
-    "sample motion": "stage_drift focus_drift molecule_diffusion",
-    "optics and background": "astigmatism background_gradient background_decay",
+    "sample motion": "stage_drift focus_drift molecule_diffusion binding",
+    "optics and background": "astigmatism background_gradient background_decay background_as_measured psf_halo",
     "camera": "em_excess_noise clock_induced_charge pixel_gain_variation column_offset row_noise hot_pixels "
-    "detector_saturation image_lag baseline_drift cosmic_rays",
+    "detector_saturation image_lag baseline_drift cosmic_rays serial_readout frame_baseline converter_codes",
+}
+NEW = {
+    "level_switching", "dim_population", "brightness_wander", "binding", "background_as_measured", "psf_halo",
+    "serial_readout", "frame_baseline", "converter_codes",
+}  # fmt: skip
+STRONG = {  # what it takes to be seen within a short movie: rare events, measurements
+    "cosmic_rays": {"hits_per_frame": 2.0},
+    "background_as_measured": {"map": (0.5, 1.0, 1.0, 1.5), "map_columns": 2, "course": (0.7, 1.3)},
 }
 KINDS = [kind for kinds in CONTRACT.values() for kind in kinds.split()]
 FORMS = [(kind, form) for kind in KINDS for form in catalogue()[kind].forms()]
@@ -31,8 +39,8 @@ def with_form(kind, form, **values):
     return effect(kind, **values, **({"form": form} if form else {}))
 
 
-def test_all_26_identifiers_are_there_in_order_and_in_their_stage():
-    assert list(catalogue())[:26] == KINDS
+def test_all_identifiers_are_there_in_order_and_in_their_stage():
+    assert list(catalogue())[: len(KINDS)] == KINDS
     for stage, kinds in CONTRACT.items():
         for kind in kinds.split():
             assert catalogue()[kind].stage == stage and stage in STAGES
@@ -56,6 +64,11 @@ def test_an_effect_explains_itself(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_diagnosis_looks_for_the_new_ones_only_when_asked(kind):
+    assert catalogue()[kind].considered_in(plain()) == (kind not in NEW)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_parameters_carry_units_in_names_or_are_relative(kind):
     cls = catalogue()[kind]
     for name in cls.plausible():
@@ -70,18 +83,23 @@ def test_null_strength_is_the_base_model(kind, form):
     """Exactly: the same emission, optical image and movie, bit by bit."""
     cls = catalogue()[kind]
     base = simulate(plain(), seed=1)
-    null = simulate(plain().with_effects(with_form(kind, form, **{cls.strength: cls.null_value})), seed=1)
+    null = simulate(
+        plain().with_effects(with_form(kind, form, **STRONG.get(kind, {}) | {cls.strength: cls.none_at(plain())})),
+        seed=1,
+    )
     np.testing.assert_array_equal(null.emission, base.emission)
+    if kind in NEW:
+        np.testing.assert_array_equal(null.optical, base.optical)
+        np.testing.assert_array_equal(null.movie, base.movie)
     np.testing.assert_allclose(null.optical, base.optical, rtol=1e-6)
     assert np.mean(null.movie != base.movie) < 1e-3  # rounding of the light by 1e-7 may move a count
 
 
 @pytest.mark.parametrize(("kind", "form"), FORMS)
 def test_every_form_runs_and_does_something(kind, form):
-    strong = {"hits_per_frame": 2.0} if kind == "cosmic_rays" else {}
     model = plain(frame_length_s=0.1)  # 4 s: rare events happen
     base = simulate(model, seed=1)
-    changed = simulate(model.with_effects(with_form(kind, form, **strong)), seed=1)
+    changed = simulate(model.with_effects(with_form(kind, form, **STRONG.get(kind, {}))), seed=1)
     assert changed.movie.shape == base.movie.shape
     assert np.any(changed.movie != base.movie)
 
@@ -93,6 +111,28 @@ def test_every_effect_runs_on_every_protocol_and_in_one_frame(kind, protocol):
     values |= {"excitation.activation_rate_per_s": 20.0, "fluorophore.cycles_before_bleaching": 5000}
     model = plain(n_frames=1, shape=(16, 16), **values).with_effects(effect(kind))
     assert simulate(model, seed=1).movie.shape == (1, 16, 16)
+
+
+@pytest.mark.parametrize(
+    ("kind", "camera"), [(k, c) for k in sorted(NEW) for c in (plain, ccd, cmos) if catalogue()[k].suits(c())]
+)
+def test_new_effects_run_with_both_engines_in_blocks_and_in_the_dark(kind, camera, monkeypatch):
+    base = camera(**{"acquisition.n_frames": 6, "acquisition.frame_length_s": 1e-3, "acquisition.shape_px": [16, 16]})
+    model = Model.from_dict(base.with_effects(effect(kind, **STRONG.get(kind, {}))).to_dict())
+    for engine in ("fast", "exact"):
+        whole = simulate(model, seed=1, engine=engine)
+        assert whole.movie.shape == (6, 16, 16) and len(whole.emission) == len(whole.positions_px)
+    assert simulate_dark(model, 3, seed=1).shape == (3, 16, 16)
+    monkeypatch.setattr("napari_mufasa.simulate.movie.BLOCK_BYTES", 1)  # frame by frame, by two workers
+    np.testing.assert_array_equal(simulate(model, seed=1, engine="exact", workers=2).movie, whole.movie)
+
+
+def test_the_order_of_effects_that_add_or_follow_molecules_does_not_matter():
+    chosen = [
+        effect(k) for k in ("binding", "molecule_diffusion", "dim_population", "brightness_wander", "stage_drift")
+    ]
+    one, two = (simulate(plain(n_frames=8).with_effects(*order), seed=2) for order in (chosen, chosen[::-1]))
+    np.testing.assert_array_equal(one.movie, two.movie)
 
 
 def test_all_effects_at_once_in_any_order():
@@ -121,11 +161,14 @@ def test_wrong_parameters_are_refused(kind):
         cls(no_such_parameter=1)
 
 
-def test_em_noise_suits_em_cameras_only():
-    assert catalogue()["em_excess_noise"].suits(plain())
-    ccd = plain().to_dict()
-    ccd["camera"] |= {"type": "CCD", "em_gain": None}
-    assert not catalogue()["em_excess_noise"].suits(Model.from_dict(ccd))
+def test_em_noise_suits_cameras_that_have_or_may_have_a_register():
+    """A camera believed a CCD may have its register on; a diagnosis looks for that only when asked to."""
+    em_noise = catalogue()["em_excess_noise"]
+    models = {"EMCCD": plain(), "CCD": ccd(), "CMOS": cmos()}
+    assert [em_noise.suits(models[c]) for c in ("EMCCD", "CCD", "CMOS")] == [True, True, False]
+    assert [em_noise.considered_in(models[c]) for c in ("EMCCD", "CCD", "CMOS")] == [True, False, False]
+    assert [em_noise.none_at(models[c]) for c in ("EMCCD", "CCD")] == [2.0, 1.0]
+    assert em_noise.plausible(ccd())["excess_noise_factor"][:2] == (1.0, 2.0)
 
 
 class Dimming(Effect):
@@ -168,7 +211,7 @@ def installed(monkeypatch):
 
 def test_a_third_party_adds_an_effect_by_one_class(installed, tmp_path):
     installed(dimming=Dimming)
-    assert list(catalogue())[26:] == ["test_dimming"]
+    assert list(catalogue())[len(KINDS) :] == ["test_dimming"]
     data = plain().to_dict() | {"effects": [{"kind": "test_dimming", "loss": 0.75}]}
     model = Model.from_dict(data)
     model.to_json(tmp_path / "model.json")

@@ -301,3 +301,110 @@ def test_a_relief_is_seen_where_tiles_agree_and_only_there():
     assert np.corrcoef(heights.ravel(), hill.ravel())[0, 1] > 0.97
     assert not any(seen(10 + rng.standard_normal((12, 12)))["seen"] for _ in range(1000))
     assert seen(np.full((12, 12), np.nan))["seen"] == ()
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0), (-0.4, 0.7), (0.3, 1.6)])
+@pytest.mark.parametrize("width", [0.4, 1.5])
+def test_a_beam_is_a_gaussian_about_its_centre_over_even_light(centre, width):
+    added = effect(
+        "illumination_profile", form="beam", edge_dimming=0.7, centre_y=centre[0], centre_x=centre[1], width=width
+    )
+    scene = scene_of(plain(shape=(48, 64)).with_effects(added), np.array([[5.0, 9.0]]))
+    y, x = scene.pixel_coordinates()
+    light = scene.light_at(y, x)
+    assert light.mean() == pytest.approx(1.0) and light.min() >= 0
+    beam = np.exp(-(((y - 23.5) / 32 - centre[0]) ** 2 + ((x - 31.5) / 32 - centre[1]) ** 2) / (2 * width**2))
+    law = 0.3 + 0.7 * (beam - beam.min()) / (1 - beam.min())  # 1 at the centre, 0.3 where it is faintest
+    np.testing.assert_allclose(light, law / law.mean(), rtol=1e-9)
+    np.testing.assert_allclose(scene.background_map(), 20 * light)
+    assert scene.drive()[0] == pytest.approx(light[5, 9])
+
+
+def test_a_beam_s_values_matter_to_a_beam_only():
+    kind = type(effect("illumination_profile"))
+    own = {"centre_y", "centre_x", "width"}
+    assert own <= set(kind(form="beam").parameters())
+    for form in ("gaussian", "off_centre", "linear", "as_seen"):
+        assert not own & set(kind(form=form).parameters())
+    one = scene_of(plain().with_effects(kind(form="off_centre")))
+    two = scene_of(plain().with_effects(kind(form="off_centre", centre_x=0.9, width=0.4)))
+    np.testing.assert_array_equal(one.background_map(), two.background_map())
+
+
+# background as measured -----------------------------------------------------------------------------------
+
+
+MAP, COURSE = (0.4, 1.0, 1.2, 0.8, 1.6, 1.0), (1.3, 1.1, 2.0, 0.9, 0.7, 0.8, 0.6, 0.6)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_background_follows_its_map_and_course_and_spots_do_not(share):
+    """A grid of 2 × 3 cells and a course of as many values as frames: given in the middle of each."""
+    added = effect("background_as_measured", share=share, map=MAP, map_columns=3, course=COURSE)
+    model = plain(n_frames=8, shape=(21, 31))
+    positions = np.array([[10.0, 15.0]])
+    base, made = simulate(model, positions, seed=1), simulate(model.with_effects(added), positions, seed=1)
+    np.testing.assert_array_equal(base.emission, made.emission)
+    scene = scene_of(model.with_effects(added))
+    course = 1 + share * (np.array(COURSE) - 1)
+    np.testing.assert_allclose(scene.background, course / course.mean())
+    everywhere = scene.background_map()
+    assert everywhere.mean() == pytest.approx(20.0) and scene.background.mean() == pytest.approx(1.0)
+    rows, columns = np.array([4.75, 15.25]), np.array([4 + 2 / 3, 15.0, 25 + 1 / 3])  # the middles of the cells
+    at = np.stack(np.meshgrid(rows, columns, indexing="ij"))
+    law = 1 + share * (np.array(MAP).reshape(2, 3) - 1)
+    found = scene.background_field[0](at[0], at[1])
+    np.testing.assert_allclose(found / found[0, 1], law / law[0, 1], rtol=1e-6)
+    spot = made.optical - scene.background[:, None, None] * everywhere - (base.optical - 20)
+    np.testing.assert_allclose(spot, 0, atol=1e-3)
+
+
+def test_background_as_measured_is_poisson_light():
+    """Counts of each frame and cell have the mean of map times course, and variance equal to it."""
+    added = effect("background_as_measured", map=MAP, map_columns=3, course=COURSE)
+    model = ccd(**{"acquisition.shape_px": [60, 90], "acquisition.n_frames": 8}).with_effects(added)
+    electrons = simulate(model, np.empty((0, 2)), seed=1).movie.astype(float) - 100
+    scene = scene_of(model, np.empty((0, 2)))
+    law = scene.background[:, None, None] * scene.background_map()
+    z = (electrons - law) / np.sqrt(law)
+    frames = z.mean(axis=(1, 2)) * np.sqrt(z[0].size)
+    assert np.abs(frames).max() < 4.5  # 8 frames: 5e-5
+    assert np.mean(z**2) == pytest.approx(1, abs=4 * np.sqrt(2.2 / z.size))
+
+
+def test_what_was_not_measured_is_even_and_steady():
+    scene = scene_of(plain().with_effects(effect("background_as_measured")))
+    assert not scene.background_field and np.all(scene.background == 1)
+    only = scene_of(plain().with_effects(effect("background_as_measured", course=(1.0, 3.0))))
+    assert not only.background_field and only.background[-1] / only.background[0] == pytest.approx(3.0)
+
+
+# a halo ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("others", [{}, {"oblique": True}, {"grid": 5}])
+@pytest.mark.parametrize(("share", "ratio"), [(0.4, 2.0), (0.15, 3.0)])
+def test_a_halo_keeps_the_light_and_widens_the_moments(share, ratio, others):
+    """⟨r²⟩ = σ²(1 − s + s ρ²) along each axis, and 1/12 of the pixel; ⟨r⁴⟩ = 3σ⁴(1 − s + s ρ⁴) to begin with."""
+    values = {"optics.background_photons_per_px": 0, "optics.high_resolution_factor": others.get("grid")}
+    model = plain(n_frames=2, shape=(61, 61), **values)
+    if others.get("oblique"):
+        model = model.with_effects(effect("astigmatism", log_ratio=0.4, axis_deg=30.0))
+    positions = np.array([[30.0, 30.0]])
+    base = simulate(model, positions, seed=1).optical[0].astype(float)
+    halo = simulate(model.with_effects(effect("psf_halo", share=share, width_ratio=ratio)), positions, seed=1)
+    image = halo.optical[0].astype(float)
+    (light0, _, _, vy0, vx0), (light, cy, cx, vy, vx) = moments(base), moments(image)
+    assert light == pytest.approx(light0, rel=1e-5)
+    assert (cy, cx) == pytest.approx((30, 30), abs=0.11 if others.get("grid") else 1e-3)  # half a step of the fine grid
+    wider = 1 - share + share * ratio**2
+    pixel = 1 / 12
+    tolerance = 0.02 if others.get("grid") else 2e-3
+    assert vy - pixel == pytest.approx(wider * (vy0 - pixel), rel=tolerance)
+    assert vx - pixel == pytest.approx(wider * (vx0 - pixel), rel=tolerance)
+    if not others:
+        sigma2 = model.sigma_px**2
+        x = np.arange(61) - 30.0
+        fourth = (image.sum(axis=0) * x**4).sum() / light
+        law = 3 * sigma2**2 * (1 - share + share * ratio**4) + 6 * sigma2 * wider / 12 + 1 / 80
+        assert fourth == pytest.approx(law, rel=5e-3)

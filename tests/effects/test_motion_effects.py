@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from napari_mufasa import simulate
+from napari_mufasa import simulate, simulate_emission
 
 from .helpers import effect, plain, scene_of
 
@@ -107,3 +108,85 @@ def test_diffusion_reaches_the_image():
     path = scene_of(model, [(30.0, 30.0)], seed=3).walk_px[:, 0]
     centroids = np.array([moments(frame)[:2] for frame in result.optical])
     np.testing.assert_allclose(centroids, 30 + path, atol=2e-2)
+
+
+# Molecules that bind and leave --------------------------------------------------------------------------------
+
+
+def bound(n=2000, rate=2.0, form="exchange", seed=1, n_frames=100, **values):
+    """The scene of n molecules within 1 s, and the share of each frame that each molecule is bound."""
+    added = effect("binding", unbinding_rate_per_s=rate, form=form)
+    scene = scene_of(plain(n_frames=n_frames, **values).with_effects(added), np.full((n, 2), 7.0), seed=seed)
+    return scene, scene.light_of_each.astype(float)
+
+
+def test_as_many_molecules_bind_as_leave():
+    """At t, of n molecules Binomial(n, e^−kt) are left and Poisson(n(1 − e^−kt)) have come and stayed."""
+    n, rate = 4000, 2.0
+    _, share = bound(n, rate)
+    for frame in (0, 20, 99):
+        left = np.exp(-rate * (frame + 0.5) * 0.01)
+        old, new = share[:n, frame].sum(), share[n:, frame].sum()
+        assert old == pytest.approx(n * left, abs=4 * np.sqrt(n * left * (1 - left)))
+        assert new == pytest.approx(n * (1 - left), abs=4 * np.sqrt(n * (1 - left)))
+
+
+def test_arrivals_are_poisson():
+    came = np.array([len(bound(5, 2.0, seed=seed, n_frames=50)[1]) - 5 for seed in range(400)])
+    mean = 5 * 2.0 * 0.5
+    assert came.mean() == pytest.approx(mean, abs=4 * np.sqrt(mean / 400))
+    assert came.var() / mean == pytest.approx(1, abs=4 * np.sqrt(2 / 400 * (1 + 1 / (2 * mean))))
+
+
+def test_they_come_at_any_time_and_stay_exponentially():
+    """Ten mean stays long; of those who come in the first half, 1 − e^−5 leave before the end."""
+    n, rate = 200, 10.0
+    scene, share = bound(n, rate)
+    stay_s = share.sum(axis=1) * 0.01
+    first = np.where(share > 0, np.arange(100), 10**6).min(axis=1)
+    early = (first < 50) & (np.arange(len(share)) >= n)
+    assert early.sum() > 800
+    assert stats.kstest(stay_s[early], "expon", args=(0, 0.1)).pvalue > 1e-4
+    assert stats.kstest(stay_s[:n], "expon", args=(0, 0.1)).pvalue > 1e-4
+    came = first[n:][first[n:] < 100] + np.random.default_rng(1).random((first[n:] < 100).sum())
+    assert stats.kstest(came, "uniform", args=(0, 100)).pvalue > 1e-4
+    for axis, size in enumerate((32, 40)):
+        assert stats.kstest(scene.positions_px[n:, axis], "uniform", args=(-0.5, size)).pvalue > 1e-4
+    assert np.all(scene.positions_px[:n] == 7.0)
+
+
+def test_landing_fills_an_empty_field():
+    n, rate = 3000, 2.0
+    scene, share = bound(n, rate, form="landing")
+    for frame in (2, 30, 99):
+        law = n * (1 - np.exp(-rate * (frame + 0.5) * 0.01))
+        assert share[:, frame].sum() == pytest.approx(law, abs=4 * np.sqrt(law))
+    assert np.all(scene.positions_px[:n] == 7.0)
+    _, few = bound(50, 0.01, form="landing")  # hardly anyone comes: the places of the others stay empty
+    assert len(few) == 50 and (few.sum(axis=1) > 0).sum() < 8
+
+
+@pytest.mark.parametrize("engine", ["fast", "exact"])
+def test_who_is_not_bound_neither_shines_nor_bleaches(engine):
+    effects = effect("binding", unbinding_rate_per_s=2.0), effect("photobleaching", rate_per_s=5.0)
+    model = plain(n_frames=60).with_effects(*effects)
+    counts = simulate_emission(model, 600, seed=2, engine=engine)
+    scene = scene_of(model, np.zeros((600, 2)), seed=2)
+    share = scene.light_of_each
+    assert counts.shape == share.shape and not counts[share == 0].any()
+    late = np.nonzero(share[:, :30].sum(axis=1) == 0)[0]
+    begin = np.argmax(share[late] > 0, axis=1) + 1  # the first full frame, where there is one
+    full = np.array([share[m, min(f, 59)] == 1 and f < 60 for m, f in zip(late, begin, strict=True)])
+    light = counts[late[full], begin[full]] / 67.249
+    assert full.sum() > 300
+    # Half a frame of light on average before that frame, and half in it: e^(−5 · 0.01 (½ + ½)).
+    assert light.mean() == pytest.approx(np.exp(-0.05), abs=4 * light.std() / np.sqrt(full.sum()) + 2e-3)
+
+
+def test_emitters_of_a_spot_come_and_go_together():
+    effects = [effect("binding"), effect("multiple_emitters", fraction=1.0), effect("brightness_heterogeneity")]
+    for order in (effects, effects[::-1]):
+        scene = scene_of(plain().with_effects(*order), np.zeros((50, 2)))
+        np.testing.assert_array_equal(scene.light_of_each[::2], scene.light_of_each[1::2])
+        assert len(scene.brightness) == len(scene.light_of_each) == len(scene.positions_px)
+        assert scene.brightness[100:].std() > 0.1  # who comes later is as unequal

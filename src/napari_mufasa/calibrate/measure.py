@@ -29,6 +29,8 @@ CameraType = Literal["CCD", "EMCCD", "CMOS"]
 class Calibration:
     """What `calibrate` found.
 
+    Attributes
+    ----------
     baseline_adu, read_noise_adu : from dark frames, or (baseline) where the variance vanishes
     slope_adu : variance over signal, F²·ADU per photoelectron
     adu_per_photoelectron : slope / excess_noise_factor

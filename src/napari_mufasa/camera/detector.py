@@ -1,4 +1,4 @@
-"""CCD, EMCCD and CMOS detectors: `expose` (photons → ADU) and its inverse, side by side (SPEC.md §4, §5).
+"""CCD, EMCCD and CMOS detectors: `expose` (photons → ADU) and its inverse, side by side (docs/camera.md).
 
 The steps are numbered in both directions. Imperfections hook in between the steps (`SensorHooks`); an ideal
 sensor has none.
@@ -32,10 +32,13 @@ class SensorHooks:
 
     expected: list[Hook] = field(default_factory=list)  # expected photoelectrons, before shot noise
     amplified: list[Hook] = field(default_factory=list)  # electrons after the gain, before read-out
+    amplifier: list[Hook] = field(default_factory=list)  # the same electrons on their way through the read-out
+    noise: list[Hook] = field(default_factory=list)  # read noise alone, in electrons
     output: list[Hook] = field(default_factory=list)  # electrons with read noise, before the ADC
     excess_noise_factor: float | None = None  # F² of the multiplication; None: the camera's own (2 or 1)
     nothing_lost: bool = False  # with F² < 2: every electron leaves the register with itself at least (low gain)
     memory_frames: int = 0  # how many earlier frames the `amplified` hooks need
+    code_begins: NDArray[np.float64] | None = None  # (period,) signal in ADU at which a code begins, code by code
 
 
 IDEAL = SensorHooks()
@@ -66,7 +69,7 @@ def expose(
         expected = hook(expected, frames)
     # 2 multiplication or conversion
     excess = multiplication_noise(camera) if hooks.excess_noise_factor is None else hooks.excess_noise_factor
-    from napari_mufasa.camera.kernels import detect, digitise, read_out
+    from napari_mufasa.camera.kernels import detect, digitise, digitise_unevenly, read_out
     from napari_mufasa.camera.register import quantile_roots
 
     numbers = np.ascontiguousarray(frames, dtype=np.int64)
@@ -82,23 +85,35 @@ def expose(
     # 3 what happens to the charge on its way out
     for hook in hooks.amplified:
         electrons = hook(electrons, frames)
+    for hook in hooks.amplifier:
+        electrons = hook(electrons, frames)
     # 4 read noise N(μ, σ²)
     noise = np.asarray(read_noise_map_e(camera), np.float32)
     sigma = np.ascontiguousarray(np.broadcast_to(noise, electrons.shape[1:]))
     electrons = np.ascontiguousarray(electrons, dtype=np.float32)
-    read_out(electrons, sigma, camera.read_noise_mean_e, numbers, streams.key("read noise"))
+    added = np.zeros_like(electrons) if hooks.noise else electrons
+    read_out(added, sigma, camera.read_noise_mean_e, numbers, streams.key("read noise"))
+    for hook in hooks.noise:
+        added = hook(added, frames)
+    if hooks.noise:
+        electrons += added
     for hook in hooks.output:
         electrons = hook(electrons, frames)
     # 5 digitisation: min(⌊n_oe/e_per_ADU⌋ + BL, ADC_max), never below 0. A baseline between two counts is
     # added before the floor, or the ½ of the inverse would not undo it.
     baseline = np.ascontiguousarray(np.broadcast_to(baseline_map_adu(camera), electrons.shape[1:]))
     electrons = np.ascontiguousarray(electrons, dtype=np.float32)
-    digital: NDArray[np.uint16] = digitise(electrons, np.float32(camera.electrons_per_adu), baseline, camera.adc_max)
+    per_adu, most = np.float32(camera.electrons_per_adu), camera.adc_max
+    digital: NDArray[np.uint16]
+    if hooks.code_begins is None:
+        digital = digitise(electrons, per_adu, baseline, most)
+    else:
+        digital = digitise_unevenly(electrons, per_adu, baseline, most, hooks.code_begins)
     return digital
 
 
 def output_electrons(movie: NDArray[Any], camera: Camera) -> Stack:
-    """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (SPEC.md §5.1). Negative values are kept on purpose."""
+    """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (docs/camera.md). Negative values are kept on purpose."""
     _check_maps(movie, camera)
     half = np.float32(0.5) - baseline_map_adu(camera)
     mean_e = np.float32(camera.read_noise_mean_e)

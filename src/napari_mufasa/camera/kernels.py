@@ -93,3 +93,41 @@ def digitise(electrons, electrons_per_adu, baseline, most):  # type: ignore[no-u
                 adu = np.floor(electrons[f, y, x] / electrons_per_adu + baseline[y, x])
                 counts[f, y, x] = np.int32(min(max(adu, np.float32(0.0)), top))
     return counts
+
+
+FINE = 64  # cells per ADU in the table of codes; a code narrower than a cell is missed
+
+
+@jit
+def digitise_unevenly(electrons, electrons_per_adu, baseline, most, begins):  # type: ignore[no-untyped-def]
+    """Like `digitise`, but code k begins at begins[k] (ascending, float64) instead of k, and so on periodically."""
+    n_frames, height, _ = electrons.shape
+    period = begins.size
+    code = np.zeros(period * FINE, np.float32)  # the code at the beginning of a cell,
+    turn = np.full(period * FINE, np.float32(period))  # where in the period it ends, if it does within the cell,
+    step = np.zeros(period * FINE, np.float32)  # and how many codes begin there
+    k = 0
+    for cell in range(period * FINE):
+        code[cell] = k
+        while k + 1 < period and (begins[k + 1] - begins[0]) * FINE < cell + 1:
+            turn[cell] = min(turn[cell], begins[k + 1] - begins[0])
+            step[cell] += 1
+            k += 1
+    counts = np.empty(electrons.shape, np.uint16)
+    for f in range(n_frames):
+        for y in range(height):
+            number_row(electrons[f, y], electrons_per_adu, baseline[y], begins[0], most, code, turn, step, counts[f, y])
+    return counts
+
+
+@vectorised
+def number_row(electrons, electrons_per_adu, baseline, first, most, code, turn, step, counts):  # type: ignore[no-untyped-def]
+    period, top = np.float32(code.size // FINE), np.float32(most)
+    cells, last = np.float32(FINE), np.int32(code.size - 1)
+    for x in range(electrons.size):
+        adu = electrons[x] / electrons_per_adu + baseline[x] - np.float32(first)
+        whole = np.floor(adu / period) * period
+        rest = adu - whole
+        cell = min(np.int32(rest * cells), last)
+        k = code[cell] + (step[cell] if rest >= turn[cell] else np.float32(0.0))
+        counts[x] = np.int32(min(max(whole + k, np.float32(0.0)), top))

@@ -92,6 +92,10 @@ def compare_movie(
     fit : also fit the model to the traces by moments (see `fit_model`) and compare the result
     sofi_times : time scales of the SOFI baseline: those of the "model" or those the "tool" starts with
     progress : called with (steps done, steps); cancel : True stops (raises `Cancelled`)
+
+    Raises
+    ------
+    MufasaError : a movie, dark frames or option that cannot be used; no molecule left to compare.
     """
     options = replace(options or Options(), **changes)
     if options.psf_sigma_px is None:
@@ -165,6 +169,10 @@ def compare_traces(
         they are active, and keep the `best` of them
     n_simulated : simulated molecules (None: as many as measured, at least 200)
     sofi_times, progress, cancel : as for `compare_movie`
+
+    Raises
+    ------
+    MufasaError : traces or options that cannot be used.
     """
     electrons = to_photoelectrons(traces, model, unit)
     n_frames = electrons.shape[1]

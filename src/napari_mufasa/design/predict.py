@@ -67,7 +67,7 @@ class Prediction:
 
 
 def predict(model: Model) -> Prediction:
-    """The expectations of a model."""
+    """What to expect of a model, by formulas: no movie is simulated, and effects are left out."""
     dye, light, optics, timing = model.fluorophore, model.excitation, model.optics, model.acquisition
     k01 = rates.excitation_rate(dye.extinction_coefficient_per_M_cm, light.power_density_w_per_cm2, light.wavelength_nm)
     k10 = rates.relaxation_rate(dye.lifetime_s)

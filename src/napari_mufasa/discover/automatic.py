@@ -24,8 +24,21 @@ def diagnose(
 ) -> Report:
     """Find what a model lacks to explain a movie (SPEC.md §9, §10).
 
-    Effects are added one at a time while the evidence is beyond chance and the held-out error falls, at most
-    `max_effects`. Parameters as in `Investigation`. Returns a `Report`.
+    Effects are added one at a time while the evidence is beyond chance and the held-out error falls.
+
+    Parameters
+    ----------
+    movie : (frame, y, x) counts (ADU), array or lazy array
+    model : the model believed; its shape and length are taken from the movie
+    dark : (frame, y, x) dark frames or None
+    seed : the same seed gives the same answer
+    effects : kinds to consider; None: the whole catalogue that suits the camera
+    max_effects : so many are added at most
+    progress : called with (done, in all); cancel : True stops (raises `Cancelled`)
+
+    Raises
+    ------
+    MufasaError : a movie, dark frames, model or kind of effect that cannot be used.
     """
     inquiry = Investigation(movie, model, dark, seed=seed, effects=effects, progress=progress, cancel=cancel)
     inquiry.examine()
@@ -66,7 +79,18 @@ def refine(
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Report:
-    """The same loop by hand: fit the effects the user names, in order, and report the error (SPEC.md §10)."""
+    """The same loop by hand: fit the effects the user names, in order, and report the error (SPEC.md §10).
+
+    Parameters
+    ----------
+    add : kinds, fitted from scratch, or effects, whose values the fit starts from
+    movie, model, dark, seed : as for `diagnose`
+    progress : called with (done, in all); cancel : True stops (raises `Cancelled`)
+
+    Raises
+    ------
+    MufasaError : a movie, dark frames, model or effect that cannot be used.
+    """
     add = [add] if isinstance(add, (str, Effect)) else add
     kinds = [a if isinstance(a, str) else a.kind for a in add]
     inquiry = Investigation(movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel)

@@ -82,6 +82,7 @@ class Report:
     evidence_needed : what the best effect must bring for an alarm (a chance of 2 % when nothing is missing)
     detectable : for each effect, the smallest strength this data would have shown with 80 % power (or None)
     notes : sentences about choices made (crop, subset, what stays off)
+    seconds, seed : time by the clock; what chance was drawn from
     """
 
     verdict: Verdict
@@ -118,6 +119,7 @@ class Report:
         }
 
     def to_json(self, path: str) -> None:
+        """Write report.json, whole or not at all."""
         from napari_mufasa.files.whole import write_json
 
         write_json(path, self.to_dict())

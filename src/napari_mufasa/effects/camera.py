@@ -1,4 +1,4 @@
-"""Camera effects: what a real sensor does beyond the ideal one (SPEC.md §9).
+"""Camera effects: what a real sensor does beyond the ideal one (docs/effects.md).
 
 Electrons here are output electrons unless a name says photoelectrons; strengths are given in units a data
 sheet or a dark frame shows.
@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.camera.detector import Stack
+from napari_mufasa.camera.detector import Stack, multiplication_noise
 from napari_mufasa.effects.courses import drifted, seen_path, step_length, step_time
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.model.setup import Setup
@@ -66,7 +66,7 @@ class EMExcessNoise(Effect):
     strength = "excess_noise_factor"
     null_value = 2.0
     title = "Other excess noise than an ideal EM register"
-    what_it_is = "The multiplication register adds more or less noise than the ideal factor F² = 2."
+    what_it_is = "The register multiplies with more or less noise than the ideal F² = 2, or in a camera believed a CCD."
     what_it_does = "The variance for a given mean is off, for spots and background alike."
     how_to_check = "Take a photon-transfer series at low and high gain."
     observables = ("photon_transfer", "background_skewness")
@@ -79,13 +79,29 @@ class EMExcessNoise(Effect):
         le=5,
         plausible=(1.0, 3.0),
         unit="",
-        description="F² = variance/mean after division by the gain",
+        description="F² = variance/mean after division by the gain; a CCD has 1",
     )
     form: Literal["gamma", "low_gain"] = "gamma"
 
     @classmethod
     def suits(cls, setup: Setup) -> bool:
+        return setup.camera.type in ("EMCCD", "CCD")  # the EM register of a camera believed a CCD may be on
+
+    @classmethod
+    def considered_in(cls, setup: Setup) -> bool:
         return setup.camera.type == "EMCCD"
+
+    @classmethod
+    def none_at(cls, setup: Setup) -> float:
+        return multiplication_noise(setup.camera)
+
+    @classmethod
+    def plausible(cls, setup: Setup | None = None) -> dict[str, tuple[float, float, bool]]:
+        """A CCD whose EM register is on has no more than that register's F² = 2."""
+        found = super().plausible(setup)
+        if setup is not None and setup.camera.type == "CCD":
+            found[cls.strength] = (1.0, 2.0, False)
+        return found
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         scene.sensor.excess_noise_factor = self.excess_noise_factor

@@ -1,4 +1,4 @@
-"""Illumination effects: light that is not the same everywhere or always (SPEC.md §9)."""
+"""Illumination effects: light that is not the same everywhere or always (docs/effects.md)."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ class IlluminationProfile(Effect):
     observables = ("level_position", "background_map")
     rivals = ("background_gradient", "brightness_heterogeneity")
     separated_by = "spot brightness against position; a flat dye slide"
+    unsearched_forms = ("beam",)
 
     edge_dimming: float = parameter(
         0.4,
@@ -35,15 +36,37 @@ class IlluminationProfile(Effect):
         description="light lost at the field's dimmest edge",
     )
     direction_deg: float = bright_side(forms=("off_centre", "linear"))
+    centre_y: float = parameter(
+        0.0, ge=-5, le=5, plausible=(-1.2, 1.2), unit="half fields", forms=("beam",),
+        description="the beam's centre along y; the longer side reaches from −1 to 1",
+    )  # fmt: skip
+    centre_x: float = parameter(
+        0.0, ge=-5, le=5, plausible=(-1.2, 1.2), unit="half fields", forms=("beam",), description="and along x"
+    )
+    width: float = parameter(
+        0.8, gt=0.01, le=100, plausible=(0.3, 2), unit="half fields", log=True, forms=("beam",),
+        description="standard deviation of the beam",
+    )  # fmt: skip
     seen: tuple[float, ...] = seen_values()
     seen_columns: int = value_columns()
-    form: Literal["gaussian", "off_centre", "linear", "as_seen"] = "gaussian"
+    form: Literal["gaussian", "off_centre", "linear", "as_seen", "beam"] = "gaussian"
+
+    def _beam(self, v: Array, u: Array) -> Array:
+        """A Gaussian beam of peak 1 at (v, u) half fields from the centre."""
+        left: Array = np.exp(-((v - self.centre_y) ** 2 + (u - self.centre_x) ** 2) / (2 * self.width**2))
+        return left
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
+        v, u = scene.centred(*scene.pixel_coordinates())
+        faintest = float(np.min(self._beam(v, u)))
 
         def profile(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
+            if self.form == "beam":  # a Gaussian over even light, which leaves 1 − edge_dimming where it ends
+                beam = self._beam(v, u)
+                hump: Array = 1 - self.edge_dimming * (1 - beam) / max(1 - faintest, 1e-12)
+                return np.maximum(hump, 0.0)  # molecules may lie half a pixel beyond the faintest one
             if self.seen and self.form == "as_seen":
                 lit: Array = 1 - self.edge_dimming * (1 - relief(self.seen, self.seen_columns, y, x, scene.shape_px))
                 return lit

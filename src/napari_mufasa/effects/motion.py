@@ -1,4 +1,4 @@
-"""Motion effects: the stage, the focus, the molecules (SPEC.md §9)."""
+"""Motion effects: the stage, the focus, the molecules (docs/effects.md)."""
 
 from __future__ import annotations
 
@@ -125,4 +125,46 @@ class MoleculeDiffusion(Effect):
         scene.walk_px = walk if scene.walk_px is None else scene.walk_px + walk
 
 
-EFFECTS = (StageDrift, FocusDrift, MoleculeDiffusion)
+class Binding(Effect):
+    """Molecules are there from arrival to departure, in continuous time: of the light of a frame each gets the share
+    of the exposure that it is bound."""
+
+    kind = "binding"
+    stage = STAGE
+    strength = "unbinding_rate_per_s"
+    searched = False
+    order = -1  # what becomes of molecules happens to those that come later, too
+    title = "Molecules that bind and leave"
+    what_it_is = "Molecules leave the surface after some time, and others from the solution bind at other places."
+    what_it_does = "Spots vanish in one step as others appear elsewhere; their number stays, or rises from nothing."
+    how_to_check = "Wash with buffer: nothing comes any more; lower the laser power: spots do not last longer."
+    observables = ("first_seen", "survival", "ensemble", "spots")
+    rivals = ("photobleaching", "delayed_activation", "long_dark_state")
+    separated_by = "the life time at another laser power; whether new spots come at new places"
+
+    unbinding_rate_per_s: float = parameter(
+        0.3, ge=0, plausible=(0.03, 3), follows="/movie_s", unit="1/s", log=True,
+        description="1 / mean time that a molecule stays; as many come as leave",
+    )  # fmt: skip
+    form: Literal["exchange", "landing"] = "exchange"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        rate, n = self.unbinding_rate_per_s, len(scene.positions_px)
+        if rate == 0 or n == 0:
+            return
+        timing = scene.setup.acquisition
+        duration_s = scene.n_frames * timing.interval_s
+        landings = np.sort(rng.random(rng.poisson(n * rate * duration_s))) * duration_s
+        if self.form == "exchange":  # those of the model are there at the start
+            arrival_s = np.concatenate([np.zeros(n), landings])
+        else:  # nobody is: the first to land do so at the model's places
+            arrival_s = np.pad(landings, (0, max(0, n - len(landings))), constant_values=np.inf)
+        departure_s = arrival_s + rng.exponential(1 / rate, len(arrival_s))
+        scene.add_molecules(rng.random((len(arrival_s) - n, 2)) * scene.shape_px - 0.5)
+        begin_s = scene.time_s
+        end_s = begin_s + timing.frame_length_s
+        bound_s = np.minimum(departure_s[:, None], end_s) - np.maximum(arrival_s[:, None], begin_s)
+        scene.light_each((np.maximum(bound_s, 0.0) / timing.frame_length_s).astype(np.float32))
+
+
+EFFECTS = (StageDrift, FocusDrift, MoleculeDiffusion, Binding)

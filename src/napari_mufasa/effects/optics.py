@@ -1,10 +1,11 @@
-"""Optics and background effects (SPEC.md §9)."""
+"""Optics and background effects (docs/effects.md)."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from napari_mufasa.effects.courses import course, seen_path
 from napari_mufasa.effects.fields import bright_side, relief, seen_values, value_columns
@@ -118,4 +119,78 @@ class BackgroundDecay(Effect):
         scene.background = scene.background * (1 - self.fraction + self.fraction * left)
 
 
-EFFECTS = (Astigmatism, BackgroundGradient, BackgroundDecay)
+class BackgroundAsMeasured(Effect):
+    kind = "background_as_measured"
+    stage = STAGE
+    strength = "share"
+    searched = False
+    title = "Background as measured"
+    what_it_is = "Stray and out-of-focus light of whatever shape and course the movie shows."
+    what_it_does = (
+        "The background has humps, slopes and transients that no simple law describes; spots keep their level."
+    )
+    how_to_check = "Image an empty field of the same sample for as long; compare spot brightness across field and time."
+    observables = ("background_map", "background_time", "common_mode")
+    rivals = ("background_gradient", "background_decay", "illumination_profile", "laser_drift")
+    separated_by = "whether spots follow the background's map and course"
+
+    share: float = parameter(
+        1.0,
+        ge=0,
+        le=2,
+        plausible=(0.2, 1.2),
+        unit="",
+        description="how far map and course go: 0 not at all, 1 as given",
+    )
+    map: tuple[float, ...] = Field(
+        (), description="relative background on a grid over the field, row by row, mean 1; () even"
+    )
+    map_columns: int = Field(1, ge=1, description="columns of that grid")
+    course: tuple[float, ...] = Field((), description="relative background at equal times, mean 1; () steady")
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        if self.share == 0:
+            return
+        if self.map:
+
+            def relative(y: Array, x: Array) -> Array:
+                seen = relief(self.map, self.map_columns, y, x, scene.shape_px)
+                return np.maximum(1 + self.share * (seen - 1), 0.0)
+
+            # The background believed is that of the field's and the movie's mean.
+            mean = float(np.mean(relative(*scene.pixel_coordinates())))
+            if mean > 0:
+                scene.background_field.append(lambda y, x: relative(y, x) / mean)
+        if self.course:
+            n, at = len(self.course), (np.arange(scene.n_frames) + 0.5) / scene.n_frames  # the middle of each frame
+            path = 1 + self.share * (np.interp(at, (np.arange(n) + 0.5) / n, self.course) - 1)
+            path = np.maximum(path, 0.0)
+            scene.background = scene.background * path / max(float(path.mean()), 1e-12)
+
+
+class PSFHalo(Effect):
+    kind = "psf_halo"
+    stage = STAGE
+    strength = "share"
+    searched = False
+    title = "PSF with a halo"
+    what_it_is = "Aberrations or scattering put part of each molecule's light into a wide halo around its spot."
+    what_it_does = "Spots have faint skirts beyond the core; their light is all there, their peaks are lower."
+    how_to_check = "Average the radial profile of isolated beads out to six times the PSF width."
+    observables = ("spot_width_early", "level", "background_map", "peak_quantile")
+    rivals = ("focus_drift", "background_gradient")
+    separated_by = "the radial profile of isolated bright spots"
+
+    share: float = parameter(
+        0.2, ge=0, le=0.95, plausible=(0.05, 0.4), unit="", description="share of a molecule's light in the halo"
+    )
+    width_ratio: float = parameter(
+        2.5, ge=1, le=20, plausible=(2, 3), unit="", description="width of the halo over that of the core"
+    )
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        if self.share > 0:
+            scene.halo = (self.share, self.width_ratio)
+
+
+EFFECTS = (Astigmatism, BackgroundGradient, BackgroundDecay, BackgroundAsMeasured, PSFHalo)

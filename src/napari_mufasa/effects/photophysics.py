@@ -1,4 +1,4 @@
-"""Photophysics effects: further states, missing transitions, unequal molecules (SPEC.md §9)."""
+"""Photophysics effects: further states, missing transitions, unequal molecules (docs/effects.md)."""
 
 from __future__ import annotations
 
@@ -319,6 +319,8 @@ class MultipleEmitters(Effect):
         scene.brightness = np.repeat(scene.brightness, copies)
         if scene.walk_px is not None:
             scene.walk_px = np.repeat(scene.walk_px, copies, axis=1)
+        if scene.light_of_each is not None:
+            scene.light_of_each = np.repeat(scene.light_of_each, copies, axis=0)
 
 
 EFFECTS = (

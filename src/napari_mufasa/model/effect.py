@@ -48,13 +48,17 @@ class Effect(BaseModel):
 
     Class attributes
     ----------------
-    kind : identifier in model.json (SPEC.md §9)
+    kind : identifier in model.json (docs/effects.md)
     stage : one of `STAGES`
-    strength : name of the parameter whose zero (or `null_value`) switches the effect off
+    strength : name of the parameter whose zero (or `null_value`, see `none_at`) switches the effect off
     title, what_it_is, what_it_does, how_to_check : one paragraph a biologist understands, in three sentences
     observables : prefixes of the observables it moves most
     rivals : kinds it is easily confused with
     separated_by : the extra measurement that separates them
+    searched : whether a diagnosis considers it when no effects are named (see `considered_in`)
+    unsearched_forms : forms that such a diagnosis does not try
+    order : effects are applied in the model's order, those of a lower number before. What adds molecules that others
+        shall act on comes first (−1), what adds molecules of another kind last (1), what acts on all of them later (2)
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -70,6 +74,9 @@ class Effect(BaseModel):
     observables: ClassVar[tuple[str, ...]] = ()
     rivals: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
+    searched: ClassVar[bool] = True
+    unsearched_forms: ClassVar[tuple[str, ...]] = ()
+    order: ClassVar[int] = 0
 
     def apply(self, scene: Any, rng: np.random.Generator) -> None:
         """Change the scene (`simulate.Scene`) in place; `rng` is this effect's own stream."""
@@ -79,6 +86,16 @@ class Effect(BaseModel):
     def suits(cls, setup: Setup) -> bool:
         """Whether the effect makes sense for this set-up (an EM register needs an EMCCD, …)."""
         return True
+
+    @classmethod
+    def considered_in(cls, setup: Setup) -> bool:
+        """Whether a diagnosis of this set-up considers the effect when no effects are named."""
+        return cls.searched and cls.suits(setup)
+
+    @classmethod
+    def none_at(cls, setup: Setup) -> float:
+        """The strength at which the effect changes nothing in this set-up."""
+        return cls.null_value
 
     @model_serializer(mode="wrap")
     def _with_kind(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -102,6 +119,7 @@ class Effect(BaseModel):
 
     @classmethod
     def unit(cls, name: str) -> str:
+        """The unit of a parameter, "" without one."""
         extra = cls.model_fields[name].json_schema_extra
         return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
@@ -123,6 +141,7 @@ class Effect(BaseModel):
 
     @property
     def form_name(self) -> str:
+        """The functional form it has, "" where there is only one."""
         return str(getattr(self, "form", ""))
 
 

@@ -57,7 +57,7 @@ class Model(Setup):
 
     @classmethod
     def from_json(cls, path: str | os.PathLike[str]) -> Model:
-        """Read a model.json (SPEC.md §10); raises `MufasaError` in one clear line."""
+        """Read a model.json (docs/model.md); raises `MufasaError` in one clear line."""
         try:
             data = json.loads(Path(path).read_text(encoding="utf-8"))
         except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""The tables of SPEC.md §8 as data: ``preset("FF")`` and friends."""
+"""The tables of docs/model.md as data: ``preset("FF")`` and friends."""
 
 from __future__ import annotations
 
@@ -87,7 +87,10 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 
 def preset(name: str) -> Model:
-    """The model of a preset: PALM, STORM, FF, Blinking, EGFP or Alexa647-STORM (SPEC.md §8)."""
+    """The model of a preset: PALM, STORM, FF, Blinking, EGFP or Alexa647-STORM (docs/model.md).
+
+    Raises `MufasaError` for another name.
+    """
     if name not in PRESETS:
         raise MufasaError(f"no preset {name!r}: choose one of {', '.join(PRESETS)}")
     return Model.from_dict(PRESETS[name])

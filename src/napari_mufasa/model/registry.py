@@ -1,4 +1,4 @@
-"""Which effects there are: the built-in ones, one module per stage, then those that other packages register."""
+"""Which effects there are: the built-in ones, stage by stage, then those that other packages register."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from napari_mufasa.model.effect import Effect
 
 ENTRY_POINT_GROUP = "napari_mufasa.effects"
-BUILT_IN = ("photophysics", "illumination", "motion", "optics", "camera")  # modules of `effects`, one per stage
+BUILT_IN = ("photophysics", "molecules", "illumination", "motion", "optics", "camera", "readout")  # by stage
 
 
 @cache

@@ -120,7 +120,7 @@ class Optics(Part):
 
 
 class Camera(Part):
-    """The detector (SPEC.md §4); maps are (y, x) arrays, nested lists or TIFF paths."""
+    """The detector (docs/camera.md); maps are (y, x) arrays, nested lists or TIFF paths."""
 
     type: Literal["CCD", "EMCCD", "CMOS"]
     quantum_efficiency: float = Field(gt=0, le=1, description="photoelectrons per photon")

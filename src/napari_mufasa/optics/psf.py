@@ -1,4 +1,4 @@
-"""From emitted photons to the optical image (SPEC.md §3).
+"""From emitted photons to the optical image (docs/optics.md).
 
 Emitters are points, so a frame is the sum over emitters of the Gaussian PSF integrated over each detector
 pixel. `image_on_grid` is the same image by the source's operator path (fine grid, blur, L×L sums); the two

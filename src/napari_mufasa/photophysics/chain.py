@@ -1,4 +1,4 @@
-"""Continuous-time Markov chains as data: states, transitions, where they start (SPEC.md §2).
+"""Continuous-time Markov chains as data: states, transitions, where they start (docs/photophysics.md).
 
 This module knows nothing of microscopes except that some transitions are driven by the excitation light
 and some release a photon.

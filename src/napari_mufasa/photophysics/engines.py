@@ -1,4 +1,4 @@
-"""Two engines, one answer: photons per frame of many copies of one chain (SPEC.md §2).
+"""Two engines, one answer: photons per frame of many copies of one chain (docs/photophysics.md).
 
 Both run the same jump kernel. *exact* runs the full chain and counts photons at their jumps. *fast* first
 merges {S0, S1} into one bright state, whose photons are then Poisson given its time in the light; dwell
@@ -24,16 +24,19 @@ SEPARATION = 1e-2  # largest k01/k10, and lifetime per exposure, at which the br
 
 @dataclass(frozen=True)
 class Exposure:
-    """The light in time: exposure and dead time of a frame in s, relative light per frame."""
+    """The light in time: exposure and dead time of a frame in s, relative light per frame, and what each molecule gets
+    of it where that changes (molecule, frame)."""
 
     exposure_s: float
     dead_time_s: float
     light: NDArray[np.float64]
+    of_each: NDArray[np.float32] | None = None
 
 
 def simulate_photons(
-    chain: Chain, drive: NDArray[np.float64], exposure: Exposure, streams: Streams, engine: Engine
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    chain: Chain, drive: NDArray[np.float64], exposure: Exposure, streams: Streams, engine: Engine,
+    population: str = "",
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:  # fmt: skip
     """Photons emitted by each molecule in each frame, and how many were expected of its time in the light.
 
     Parameters
@@ -42,6 +45,7 @@ def simulate_photons(
     drive : (molecule,) relative light at each molecule
     exposure : frame timing and relative light per frame
     streams : every molecule draws from a stream of its own
+    population : names the molecules' streams where another population has those without a name
     engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, where k01/k10 > 10⁻², a frame
         is shorter than 100 lifetimes, or the chain has no single emitting transition
 
@@ -54,14 +58,16 @@ def simulate_photons(
         raise MufasaError(f"engine {engine!r} is unknown: choose 'fast' or 'exact'")
     if engine == "fast":
         brightest = float(np.max(drive, initial=0.0) * np.max(exposure.light, initial=0.0))
+        if exposure.of_each is not None:
+            brightest *= float(np.max(exposure.of_each, initial=0.0))
         merged = merge_bright_states(chain, brightest, exposure.exposure_s)
         if isinstance(merged, str):
             warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
         else:
             bright_chain, photon_rates = merged
-            expected, _ = _run(bright_chain, photon_rates, drive, exposure, streams)
-            return _poisson(expected, streams), expected
-    _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, streams)
+            expected, _ = _run(bright_chain, photon_rates, drive, exposure, streams, population)
+            return _poisson(expected, streams, population), expected
+    _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, streams, population)
     return photons, photons.astype(np.float64)
 
 
@@ -70,7 +76,7 @@ def merge_bright_states(
 ) -> tuple[Chain, NDArray[np.float64]] | str:
     """The chain with every {S0, S1} pair merged and each state's photon rate at full light; or why not.
 
-    A merged state leaves with rate k01·p, p = k1x/Σk1, and emits with rate k01·k10/(k01+Σk1) (SPEC.md §2).
+    A merged state leaves with rate k01·p, p = k1x/Σk1, and emits with rate k01·k10/(k01+Σk1) (docs/photophysics.md).
     """
     pairs = chain.emitting_pairs()
     if not pairs:
@@ -108,6 +114,7 @@ def _run(
     drive: NDArray[np.float64],
     exposure: Exposure,
     streams: Streams,
+    population: str,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Expected photons from the time spent in emitting states, and photons counted at jumps."""
     expected: NDArray[np.float64]
@@ -122,15 +129,16 @@ def _run(
         np.cumsum(chain.start_vector()),
         np.ascontiguousarray(drive, dtype=np.float64),
         np.ascontiguousarray(exposure.light, dtype=np.float64),
+        np.empty((0, 0), np.float32) if exposure.of_each is None else np.ascontiguousarray(exposure.of_each),
         float(exposure.exposure_s),
         float(exposure.dead_time_s),
-        streams.key("photophysics"),
+        streams.key(population + "photophysics"),
     )
     return expected, photons
 
 
-def _poisson(expected: NDArray[np.float64], streams: Streams) -> NDArray[np.int64]:
+def _poisson(expected: NDArray[np.float64], streams: Streams, population: str) -> NDArray[np.int64]:
     from napari_mufasa.photophysics.kernels import draw
 
-    photons: NDArray[np.int64] = draw(expected, streams.key("emission"))
+    photons: NDArray[np.int64] = draw(expected, streams.key(population + "emission"))
     return photons

@@ -16,7 +16,7 @@ compiled: Any = njit(cache=True, nogil=True)
 
 
 @compiled
-def run(driven, undriven, photon_probability, photon_rate, start, drive, light, exposure_s, dead_s, key):  # type: ignore[no-untyped-def]
+def run(driven, undriven, photon_probability, photon_rate, start, drive, light, of_each, exposure_s, dead_s, key):  # type: ignore[no-untyped-def]
     n_states = driven.shape[0]
     n_molecules, n_frames = drive.size, light.size
     expected = np.zeros((n_molecules, n_frames))
@@ -32,6 +32,8 @@ def run(driven, undriven, photon_probability, photon_rate, start, drive, light, 
             if absorbed:
                 break
             relative = drive[m] * light[f]
+            if of_each.size > 0:
+                relative *= of_each[m, f]
             # Rates are constant within a segment and exponential waits have no memory, so a wait
             # that crosses the segment's end is simply drawn anew from there.
             for segment in range(2):

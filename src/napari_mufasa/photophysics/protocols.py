@@ -1,4 +1,4 @@
-"""Which states and rates each protocol has (SPEC.md §2): its chain."""
+"""Which states and rates each protocol has (docs/photophysics.md): its chain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rates of one fluorophore, per second (SPEC.md §2)."""
+"""Rates of one fluorophore, per second (docs/photophysics.md)."""
 
 from __future__ import annotations
 

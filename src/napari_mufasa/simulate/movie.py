@@ -1,4 +1,4 @@
-"""The whole chain in one place: sample → emission → optical image → movie (SPEC.md §2–4)."""
+"""The whole chain in one place: sample → emission → optical image → movie (docs/words.md)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from napari_mufasa.errors import Cancelled, MufasaError, need
 from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics.engines import Engine, Exposure, simulate_photons
 from napari_mufasa.simulate import layout
-from napari_mufasa.simulate.scene import Recording, Scene, build_scene
+from napari_mufasa.simulate.scene import Population, Recording, Scene, build_scene
 
 Progress = Callable[[int, int], None]
 BLOCK_BYTES = 2 * 2**20  # optical images of one block of frames: they stay close to the processor
@@ -32,6 +32,9 @@ class Simulation:
     movie : (frame, y, x) uint16, ADU
     positions_px : (molecule, 2), (y, x) at the first frame
     model, seed : what it was made from
+
+    Effects that add molecules (several emitters in a spot, molecules that come, a dim population) add rows: those of
+    molecules that come or are dim stand behind the positions given.
     """
 
     emission: NDArray[np.int64]
@@ -45,9 +48,9 @@ class Simulation:
 class SimulatedAcquisition:
     """A simulated acquisition whose frames are recorded on demand, block by block.
 
-    Holds the emission, the photons that images are made of (both (molecule, frame), and the same unless
-    `Optics.emission_noise` is below 1) and courses per frame, never the movie: use it to stream movies larger than
-    memory.
+    Parameters as for `simulate`. Holds the emission, the photons that images are made of (both (molecule, frame), and
+    the same unless `Optics.emission_noise` is below 1) and courses per frame, never the movie: use it to stream movies
+    larger than memory.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class SimulatedAcquisition:
 
     @property
     def n_frames(self) -> int:
+        """Frames of the movie."""
         return self.scene.n_frames
 
     def record_instead(self, emission: NDArray[Any]) -> None:
@@ -124,9 +128,10 @@ def simulate(
     model : what to simulate, effects included
     positions_px : (molecule, 2) positions (y, x) in detector pixels; None: the model's sample layout
     seed : the same seed gives the same movie, whatever `workers`
-    engine : "fast" or "exact" (SPEC.md §2)
+    engine : "fast" or "exact" (docs/photophysics.md)
     progress : called with (frames done, frames in all); cancel : returns True to stop (raises `Cancelled`)
 
+    Raises `MufasaError` for positions, a seed or an engine that cannot be used.
     Peak memory: the result (optical 4 bytes and movie 2 bytes per pixel and frame) and one block per worker.
     For movies larger than memory use `SimulatedAcquisition.blocks`.
     """
@@ -144,8 +149,8 @@ def simulate_emission(
 ) -> NDArray[np.int64]:
     """Photons emitted per molecule and frame, (molecule, frame) int64; no optics, no camera.
 
-    Molecules are spread over the field, so that effects across the field act on them too. An effect that
-    puts several emitters in a spot adds rows.
+    Molecules are spread over the field, so that effects across the field act on them too. Effects that add molecules
+    add rows (see `Simulation`).
     """
     if isinstance(n_molecules, bool) or not isinstance(n_molecules, (int, np.integer)) or n_molecules < 0:
         raise MufasaError(f"n_molecules = {n_molecules!r}: give a whole number ≥ 0")
@@ -156,7 +161,11 @@ def simulate_emission(
 
 
 def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint16]:
-    """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects."""
+    """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects.
+
+    The sensor's patterns are those of the movie with the same seed, its noise is not. Raises `MufasaError` for a number
+    of frames or a seed that cannot be used.
+    """
     if isinstance(n_frames, bool) or not isinstance(n_frames, (int, np.integer)) or n_frames < 1:
         raise MufasaError(f"n_frames = {n_frames!r}: give a whole number ≥ 1")
     need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
@@ -172,16 +181,27 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
 
 
 def _emit(scene: Scene, engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Photons emitted and expected (molecule, frame), one population of molecules after the other."""
     timing = scene.setup.acquisition
-    exposure = Exposure(timing.frame_length_s, timing.interval_s - timing.frame_length_s, scene.light)
-    return simulate_photons(scene.chain, scene.drive(), exposure, scene.streams, engine)
+    dead_time_s = timing.interval_s - timing.frame_length_s
+    drive, each = scene.drive(), scene.light_of_each
+    first = len(drive) - sum(p.n_molecules for p in scene.populations)
+    emitted, start = [], 0
+    for kind in (Population("", scene.chain, first), *scene.populations):
+        rows = slice(start, start + kind.n_molecules)
+        start = rows.stop
+        exposure = Exposure(timing.frame_length_s, dead_time_s, scene.light, None if each is None else each[rows])
+        emitted.append(simulate_photons(kind.chain, drive[rows], exposure, scene.streams, engine, kind.name))
+    if len(emitted) == 1:
+        return emitted[0]
+    return np.concatenate([n for n, _ in emitted]), np.concatenate([expected for _, expected in emitted])
 
 
 def _imaged(emission: NDArray[np.int64], expected: NDArray[np.float64], noise_kept: float) -> NDArray[Any]:
     """Photons (molecule, frame) that images are made of: the emission, with a share of the variance of its noise.
 
     N emitted photons of which each is detected with chance p make a count of variance p E[N] + p² (Var N − E[N]): light
-    that is Poisson stays Poisson. A Poisson detection of the image of N (SPEC.md §4) has p E[N] + p² Var N instead,
+    that is Poisson stays Poisson. A Poisson detection of the image of N (docs/camera.md) has p E[N] + p² Var N instead,
     which is right when none of the noise of Poisson light is kept in the image.
     """
     if noise_kept == 1:

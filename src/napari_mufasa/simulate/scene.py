@@ -25,13 +25,22 @@ FieldMap = Callable[[Array, Array], Array]
 """Relative light or background at pixel coordinates (y, x)."""
 
 
+@dataclass(frozen=True)
+class Population:
+    """Molecules of another kind, the last ones of the scene; `name` names their streams."""
+
+    name: str
+    chain: Chain
+    n_molecules: int
+
+
 @dataclass
 class Scene:
     """What effects may change. Times are frame starts in s; shapes are given per attribute."""
 
     setup: Setup
     streams: Streams
-    chain: Chain
+    chain: Chain  # of the molecules that no other population has
     positions_px: Array  # (molecule, 2) at the first frame
     brightness: Array  # (molecule,) collected photons relative to the model's
     time_s: Array  # (frame,)
@@ -42,6 +51,9 @@ class Scene:
     light_field: list[FieldMap] = field(default_factory=list)  # excitation across the field: spots and background
     background_field: list[FieldMap] = field(default_factory=list)  # background only
     walk_px: NDArray[np.float32] | None = None  # (frame, molecule, 2) motion of each molecule
+    light_of_each: NDArray[np.float32] | None = None  # (molecule, frame) what each molecule gets of the light
+    populations: list[Population] = field(default_factory=list)  # in the order of their molecules
+    halo: tuple[float, float] | None = None  # share of the light in a wider PSF, and how many times wider it is
     oblique: tuple[float, float] | None = None  # ln of the PSF's axes' ratio, and the direction of the long one (rad)
     sensor: camera.SensorHooks = field(default_factory=camera.SensorHooks)
 
@@ -76,6 +88,23 @@ class Scene:
         """(molecule,) relative excitation at each molecule's first position."""
         return self.light_at(self.positions_px[:, 0], self.positions_px[:, 1])
 
+    def add_molecules(self, positions_px: Array, population: tuple[str, Chain] | None = None) -> None:
+        """Further molecules at positions (molecule, 2), as bright as the model has them, at rest; without a population
+        of their own (name, chain) they are like the first ones, and must come before any that have one."""
+        n = len(positions_px)
+        self.positions_px = np.concatenate([self.positions_px, positions_px])
+        self.brightness = np.concatenate([self.brightness, np.ones(n)])
+        if self.walk_px is not None:
+            self.walk_px = np.pad(self.walk_px, ((0, 0), (0, n), (0, 0)))
+        if self.light_of_each is not None:
+            self.light_of_each = np.pad(self.light_of_each, ((0, n), (0, 0)), constant_values=1)
+        if population is not None:
+            self.populations.append(Population(*population, n))
+
+    def light_each(self, course: NDArray[np.float32]) -> None:
+        """Multiply the light of each molecule by its course (molecule, frame)."""
+        self.light_of_each = course if self.light_of_each is None else self.light_of_each * course
+
     def background_map(self) -> Array:
         """(y, x) background photons per pixel at relative light and course 1."""
         y, x = self.pixel_coordinates()
@@ -92,26 +121,30 @@ class Scene:
         positions = self.positions_px[None] + self.shift_px[at, None]
         if self.walk_px is not None:
             positions = positions + self.walk_px[at]
-        if self.oblique is not None:
-            photons, positions = optics.elongated(photons, positions, self.sigma_px[frames], *self.oblique)
-            moves = len(positions) > 1
-        if optical.high_resolution_factor is None:
-            image = optics.spot_images(photons, positions, self.sigma_px[frames], self.shape_px)
-        else:
-            image = np.stack(
-                [
-                    optics.image_on_grid(
-                        photons[i], positions[i if moves else 0], tuple(self.sigma_px[f]), self.shape_px,
-                        optical.high_resolution_factor,
-                    )
-                    for i, f in enumerate(frames)
-                ]
-            ).astype(np.float32)  # fmt: skip
+        image = self._spots(photons, positions, self.sigma_px[frames])
+        if self.halo is not None:
+            within, wider = self.halo
+            image *= np.float32(1 - within)
+            image += np.float32(within) * self._spots(photons, positions, wider * self.sigma_px[frames])
         course = (self.light * self.background)[frames].astype(np.float32)
         background = self.background_map().astype(np.float32)
         for picture, level in zip(image, course, strict=True):
             picture += level * background
         return image
+
+    def _spots(self, photons: Array, positions: Array, sigma: Array) -> NDArray[np.float32]:
+        """(frame, y, x) images of photons (frame, molecule) at positions (frame or 1, molecule, 2)."""
+        factor = self.setup.optics.high_resolution_factor
+        if self.oblique is not None and photons.size:
+            photons, positions = optics.elongated(photons, positions, sigma, *self.oblique)
+        if factor is None:
+            return optics.spot_images(photons, positions, sigma, self.shape_px)
+        last = len(positions) - 1
+        fine = [
+            optics.image_on_grid(photons[i], positions[min(i, last)], tuple(sigma[i]), self.shape_px, factor)
+            for i in range(len(photons))
+        ]
+        return np.stack(fine).astype(np.float32)
 
     def record(self, emission: NDArray[Any], start: int, stop: int) -> Recording:
         """Frames start … stop−1 of the movie and their optical images; memory is that of the block."""
@@ -144,7 +177,7 @@ def build_scene(model: Model, positions_px: NDArray[np.floating[Any]], streams: 
         shift_px=np.zeros((n, 2)),
         background=np.ones(n),
     )
-    for effect in model.effects:
+    for effect in sorted(model.effects, key=lambda e: e.order):
         effect.apply(scene, streams.of(f"effect {effect.kind}"))
     return scene
 

@@ -100,6 +100,7 @@ class TraceSet:
 
     @property
     def kept(self) -> NDArray[np.bool_]:
+        """(candidate,) which of them are kept."""
         return np.asarray(self.molecules["kept"], dtype=bool)
 
     @property
