@@ -1,4 +1,4 @@
-"""Photon transfer gives back the camera (SPEC.md §4)."""
+"""Photon transfer gives back the camera (docs/camera.md)."""
 
 from __future__ import annotations
 

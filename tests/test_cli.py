@@ -1,4 +1,4 @@
-"""The command line: options as in SPEC.md §10, outputs that agree with the library, and how it fails."""
+"""The command line: options as in docs/files.md, outputs that agree with the library, and how it fails."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def cli(capfd):
 
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory) -> Path:
-    """The model of SPEC.md §10, smaller and with molecules apart."""
+    """The model of docs/model.md, smaller and with molecules apart."""
     data = json.loads(json.dumps(MODEL))
     data["acquisition"] |= {"n_frames": 120, "shape_px": [48, 48]}
     data["sample"] = {"n_molecules": 12, "min_distance_px": 9}

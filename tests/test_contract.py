@@ -1,4 +1,4 @@
-"""The contracts of SPEC.md §10 as somebody outside would check them: names, shapes, files, and how bad input fails."""
+"""The contracts of docs/files.md and docs/api.md as somebody outside would check them: names, shapes, files, errors."""
 
 from __future__ import annotations
 

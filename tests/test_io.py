@@ -1,4 +1,4 @@
-"""Files: what goes in comes out, what is damaged is told in one line, nothing is half-written (SPEC.md §10)."""
+"""Files: what goes in comes out, what is damaged is told in one line, nothing is half-written (docs/files.md)."""
 
 import json
 

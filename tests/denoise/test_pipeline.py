@@ -21,7 +21,7 @@ CMOS = Camera(type="CMOS", quantum_efficiency=0.8, read_noise_e=1.5, electrons_p
 
 
 def record(photons, camera, rng):
-    """Counts by SPEC.md §4, written here anew: a test of the inverse must not use the camera's own code."""
+    """Counts by docs/camera.md, written here anew: a test of the inverse must not use the camera's own code."""
     e = rng.poisson(camera.quantum_efficiency * photons + camera.clock_induced_charge_e).astype(float)
     if camera.type == "EMCCD":
         e = rng.standard_gamma(e) * camera.em_gain

@@ -41,7 +41,7 @@ def leading_dark_frames(movie: Any) -> int:
 def dark_frames(
     dark: Any, baseline: float | None, read_noise: float | None, shape: tuple[int, ...], notes: list[str]
 ) -> tuple[Value, Value, float, NDArray[np.float64] | None]:
-    """Baseline (BL of SPEC.md §4, half a count above the recorded mean), read noise, tail, dark values."""
+    """Baseline (BL of docs/camera.md, half a count above the recorded mean), read noise, tail, dark values."""
     nan = float("nan")
     if dark is None:
         base = Value(nan if baseline is None else float(baseline), nan)

@@ -1,7 +1,7 @@
 """The camera from its own movies: baseline, read noise, digital counts per photoelectron (photon transfer).
 
 At constant light the variance of a pixel in time grows with its mean: slope = F²·(ADU per photoelectron), with
-the excess noise factor F² = 2 for electron multiplication and 1 without (SPEC.md §4). Differences of successive
+the excess noise factor F² = 2 for electron multiplication and 1 without (docs/camera.md). Differences of successive
 frames take slow changes of the light out of the variance; medians over pixels of like mean take blinking out.
 """
 

@@ -1,4 +1,4 @@
-"""The command line ``napari-mufasa`` (SPEC.md §10): parsing, progress, exit codes; the work is done elsewhere.
+"""The command line ``napari-mufasa`` (docs/files.md): parsing, progress, exit codes; the work is done elsewhere.
 
 Exit 0 done · 2 bad input, one line that says what is wrong and what to do · 130 stopped with Ctrl-C · 1 a fault
 of ours, one line that says so (``--debug`` shows where). Nothing heavy is imported until a verb runs.

@@ -23,11 +23,11 @@ for verb in (*making.VERBS, *measuring.VERBS, *discovering.VERBS):
     app.command(verb.__name__)(verb)
 
 
-def _version(wanted: bool) -> None:
+def _tell_version(wanted: bool) -> None:
     if wanted:
-        from napari_mufasa import __version__
+        from importlib.metadata import version
 
-        typer.echo(f"napari-mufasa {__version__}")
+        typer.echo(f"napari-mufasa {version('napari-mufasa')}")
         raise typer.Exit
 
 
@@ -35,7 +35,7 @@ def _version(wanted: bool) -> None:
 def options(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", help="Show the version and leave.", callback=_version, is_eager=True)
+        bool, typer.Option("--version", help="Show the version and leave.", callback=_tell_version, is_eager=True)
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")] = False,
 ) -> None:

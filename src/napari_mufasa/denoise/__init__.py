@@ -1,4 +1,4 @@
-"""Denoising: the physics run backwards (SPEC.md §5)."""
+"""Denoising: the physics run backwards (docs/denoising.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From recorded counts to photons: the camera's inverse and the denoiser between its steps (SPEC.md §5)."""
+"""From recorded counts to photons: the camera's inverse and the denoiser between its steps (docs/denoising.md)."""
 
 from __future__ import annotations
 

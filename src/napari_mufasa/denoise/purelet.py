@@ -1,4 +1,4 @@
-"""PURE-LET for one image: unbiased risk estimate, linear expansion of thresholds, Haar (SPEC.md §5.4)."""
+"""PURE-LET for one image: unbiased risk estimate, linear expansion of thresholds, Haar (docs/denoising.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The source's recipe in its literal steps: Gaussian wavelet shrinkage, then a Poisson denoiser (SPEC.md §5)."""
+"""The source's recipe in its literal steps: Gaussian wavelet shrinkage, then a Poisson denoiser (docs/denoising.md)."""
 
 from __future__ import annotations
 

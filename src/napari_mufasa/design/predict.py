@@ -1,4 +1,5 @@
-"""Planning an experiment: what a model predicts before any movie is taken, by formulas (SPEC.md §2–4, §7).
+"""Planning an experiment: what a model predicts before any movie is taken, by formulas (docs/photophysics.md,
+docs/optics.md, docs/camera.md, docs/comparison.md).
 
 The formulas are those of the base model: `model.effects` are not in them. To see an effect, simulate.
 """
@@ -92,7 +93,7 @@ def predict(model: Model) -> Prediction:
             waiting = 1 / light.activation_rate_per_s
         bleach_s = waiting + 1 / (bleach_rate * duty)
     leaving = off_rate + bleach_rate
-    # Detection adds its own Poisson noise to that of the emission (SPEC.md §4), of which the optics say the share.
+    # Detection adds its own Poisson noise to that of the emission (docs/camera.md), of which the optics say the share.
     emission_e2 = optics.emission_noise * detected * detected_share
     pixels = _spot(model, detected, emission_e2)
     floor = _w1_floor_e(model, detected, duty, pixels.spot_noise_e, pixels.empty_noise_e)
