@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_mufasa.traces.select import dynamics
+from napari_mufasa.traces.dynamics import dynamics
 from napari_mufasa.traces.steps import critical_value, find_steps, idealise
 
 

@@ -56,24 +56,50 @@ class Frames:
     def block_frames(self) -> int:
         return max(1, min(self.n_frames, BLOCK_BYTES // (4 * self.shape[1] * self.shape[2])))
 
-    def blocks(
+    def counts(
         self, multiple: int = 1, report: Callable[[int], None] | None = None, cancel: Callable[[], bool] | None = None
-    ) -> Iterator[tuple[int, Stack]]:
-        """(first frame, photoelectrons) in order; every block but the last has a multiple of `multiple` frames."""
+    ) -> Iterator[tuple[int, NDArray[Any]]]:
+        """(first frame, numbers as they are stored) in order; every block but the last has a multiple of `multiple`
+        frames. Raises `MufasaError` for numbers that this camera cannot have recorded."""
         size = max(multiple, self.block_frames() // multiple * multiple)
         for start in range(0, self.n_frames, size):
             if cancel is not None and cancel():
                 raise Cancelled
             raw = np.asarray(self.movie[start : start + size])
-            yield start, self.photoelectrons(raw)
+            self._check(raw)
+            yield start, raw
             if report is not None:
                 report(len(raw))
 
+    def blocks(
+        self, report: Callable[[int], None] | None = None, cancel: Callable[[], bool] | None = None
+    ) -> Iterator[tuple[int, Stack]]:
+        """(first frame, photoelectrons) in order."""
+        for start, raw in self.counts(report=report, cancel=cancel):
+            yield start, self._photoelectrons(raw)
+
     def photoelectrons(self, raw: NDArray[Any]) -> Stack:
+        self._check(raw)
+        return self._photoelectrons(raw)
+
+    def flat(self, counts: Stack) -> Stack:
+        """Counts, or means of them, as if all pixels had the same offset and gain: what finding spots needs, in any
+        unit. A detector's curve is left in: it keeps the order of brightness."""
+        camera = self.camera
+        if self.unit == "adu" and camera.offset_map_adu is not None:
+            counts = counts - camera.offset_map_adu.astype(np.float32)
+        if self.unit == "adu" and camera.gain_map is not None:
+            counts = (counts - np.float32(camera.baseline_adu)) / camera.gain_map.astype(np.float32)
+        return counts
+
+    def _check(self, raw: NDArray[Any]) -> None:
         if raw.dtype.kind == "f" and not np.isfinite(raw).all():
             raise MufasaError("movie has values that are not finite: mask or crop those frames first")
         if self.unit == "adu":
             detector.check_counts(raw, self.camera)
+
+    def _photoelectrons(self, raw: NDArray[Any]) -> Stack:
+        if self.unit == "adu":
             return detector.photoelectrons(raw, self.camera)
         if self.unit == "photons":
             return np.asarray(raw, np.float32) * np.float32(self.camera.quantum_efficiency)

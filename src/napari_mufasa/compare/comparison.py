@@ -17,7 +17,8 @@ from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.simulate.movie import SimulatedAcquisition
 from napari_mufasa.traces import Options, TraceSet, extract_traces
-from napari_mufasa.traces.select import dynamics, windows
+from napari_mufasa.traces.dynamics import dynamics
+from napari_mufasa.traces.select import windows
 
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]

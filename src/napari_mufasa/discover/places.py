@@ -209,12 +209,14 @@ def _numbers(traces: Any) -> pd.DataFrame:
     """One row per molecule: what its trace shows, in numbers whose noise is about even."""
     import pandas as pd
 
+    from napari_mufasa.traces.correlation import lagged
+
     light, lit = traces.all_traces.astype(np.float64), traces.lit
     table = traces.molecules
     count = np.maximum(lit.sum(axis=1), 1)
     level = np.maximum((light * lit).sum(axis=1) / count, 1e-3)
     deviation = np.where(lit, light / level[:, None] - 1, 0.0)
-    both = lit[:, 1:] & lit[:, :-1]
+    products, pairs = lagged(deviation, lit, 1)
     frame = np.arange(light.shape[1])
     middle = (lit * frame).sum(axis=1) / count
     from_middle = np.where(lit, frame - middle[:, None], 0.0)
@@ -225,7 +227,7 @@ def _numbers(traces: Any) -> pd.DataFrame:
             "brightness": np.log(level),
             "trend": slope * light.shape[1],
             "flicker": np.log((deviation**2).sum(axis=1) / count + 1e-6),
-            "memory": (deviation[:, 1:] * deviation[:, :-1] * both).sum(axis=1) / np.maximum(both.sum(axis=1), 1),
+            "memory": products / np.maximum(pairs, 1),
             "gaps": np.sqrt(table["n_blinks"].to_numpy(float)),
             "steps": np.sqrt(table["n_steps"].to_numpy(float)),
             "last": last / light.shape[1],

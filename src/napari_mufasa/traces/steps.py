@@ -27,9 +27,14 @@ class Steps:
     n_frames: int
 
     @property
+    def lengths(self) -> NDArray[np.int64]:
+        """(segment,) frames of each segment."""
+        return np.diff(np.append(self.starts, self.n_frames))
+
+    @property
     def idealised(self) -> NDArray[np.float64]:
         """(frame,) the level of each frame's segment."""
-        return np.repeat(self.levels, np.diff(np.append(self.starts, self.n_frames)))
+        return np.repeat(self.levels, self.lengths)
 
 
 def find_steps(trace: NDArray[np.floating], false_alarm_rate: float = 0.01, min_segment: int = MIN_SEGMENT) -> Steps:
