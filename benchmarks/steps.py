@@ -104,7 +104,9 @@ def main() -> None:
                 continue
             # Electron-multiplied: 3 photoelectrons of background for a dozen pixels, steps in units of its noise.
             level = 36.0 + course * np.sqrt(72.0)
-            drawn = rng.standard_gamma(rng.poisson(level)) if noise == "EM" else course + rng.standard_normal(course.shape)
+            drawn = (
+                rng.standard_gamma(rng.poisson(level)) if noise == "EM" else course + rng.standard_normal(course.shape)
+            )
             base = 0.0
             for name, finder in finders.items():
                 use = slice(None) if name != "ruptures Binseg" else slice(0, max(20, n // 5))

@@ -71,6 +71,37 @@ class Frames:
             if report is not None:
                 report(len(raw))
 
+    def check_light(self) -> None:
+        """Raise `MufasaError` for a movie that shows nothing: saturated, or the same in all pixels or all frames.
+
+        Reads no further than it must: two frames of a movie that shows something.
+        """
+        full = self._full()
+        saturated = uniform = still = True
+        first: NDArray[Any] | None = None
+        for start in (0, *range(min(2, self.n_frames), self.n_frames, self.block_frames())):
+            stop = min(2, self.n_frames) if start == 0 else start + self.block_frames()
+            raw = np.asarray(self.movie[start:stop])
+            first = raw[0] if first is None else first
+            low, high = raw.min(axis=(1, 2)), raw.max(axis=(1, 2))
+            saturated = saturated and full is not None and bool((low >= full).all())
+            uniform = uniform and bool((low == high).all())
+            still = still and bool((raw == first).all())
+            if not (saturated or uniform or (still and self.n_frames > 1)):
+                return
+        if saturated:
+            raise MufasaError(f"every pixel of the movie is saturated (at {full:g} or above): record with less light")
+        what = f"every pixel of the movie is {raw.flat[0]:g}" if uniform and still else ""
+        what = what or ("all pixels of a frame are equal" if uniform else "all frames of the movie are equal")
+        raise MufasaError(f"{what}: nothing was recorded; give the camera's raw movie")
+
+    def _full(self) -> float | None:
+        """The largest number that the movie can hold, where it is known."""
+        kind = np.dtype(self.movie.dtype)
+        limits = [float(np.iinfo(kind).max)] if kind.kind == "u" else []
+        limits += [float(self.camera.adc_max)] if self.unit == "adu" else []
+        return min(limits, default=None)
+
     def blocks(
         self, report: Callable[[int], None] | None = None, cancel: Callable[[], bool] | None = None
     ) -> Iterator[tuple[int, Stack]]:

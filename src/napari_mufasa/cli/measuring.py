@@ -150,11 +150,11 @@ def traces(
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
     from napari_mufasa import files
-    from napari_mufasa.files import traces as trace_files
     from napari_mufasa.model.model import Model
     from napari_mufasa.report import figures
     from napari_mufasa.report import plots as plotting
     from napari_mufasa.traces import extract_traces
+    from napari_mufasa.traces.table import write_traces
 
     console.check_folder_out(out)
     believed = Model.from_json(model)
@@ -176,7 +176,7 @@ def traces(
         figures.Drawing("traces", "", (7.2, 6.2), lambda f: plotting.contact_sheet(f, found.traces, kept, most=24)),
     ]
     with console.folder(out) as folder:
-        trace_files.write_traces(folder, found, hdf5=hdf5)
+        write_traces(folder, found, hdf5=hdf5)
         write_figures(folder, drawings)
     typer.echo(f"{out}: {len(kept)} molecules kept of {len(found.molecules)} candidates")
     reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)

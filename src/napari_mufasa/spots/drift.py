@@ -83,7 +83,7 @@ class Field:
         spread = np.median(np.abs(window - (middle := np.median(window)))) / 0.6745
         if top.min() < 1 or top.max() > 2 * reach - 1 or window.max() - middle < STANDS_OUT * spread:
             return np.asarray(near, dtype=np.float64)
-        return centre - reach + top + peak_offsets(window, top[None])[0]
+        return np.asarray(centre - reach + top + peak_offsets(window, top[None])[0], dtype=np.float64)
 
     def add(self, other: Field, shift: Array, n: int) -> None:
         """Make this mean of `n` images the mean of one more, which has moved by `shift`."""

@@ -92,24 +92,28 @@ def summits(image: Image, peaks: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.asarray(tops + peak_offsets(image, tops))
 
 
+def check_threshold(method: str, value: float | None) -> None:
+    """Raise `MufasaError` for a threshold that is none."""
+    if method not in THRESHOLDS:
+        raise MufasaError(f"threshold method {method!r} is unknown: choose {', '.join(THRESHOLDS)}")
+    if method == "sigma" and value is not None and not value > 0:
+        raise MufasaError(f"threshold = {value}: the number of noise sd must be above 0")
+    if method == "percentile" and value is not None and not 0 <= value <= 100:
+        raise MufasaError(f"threshold = {value}: a percentile lies in 0 … 100")
+
+
 def threshold_level(image: Image, method: Threshold, value: float | None) -> float:
     from skimage import filters
 
+    check_threshold(method, value)
     if method == "sigma":
         k = 6.0 if value is None else float(value)
-        if k <= 0:
-            raise MufasaError(f"threshold = {k}: the number of noise sd must be above 0")
         return max(k, float(np.median(image)) + k * lower_spread(image))
     if method == "percentile":
-        p = 98.0 if value is None else float(value)
-        if not 0 <= p <= 100:
-            raise MufasaError(f"threshold = {p}: a percentile lies in 0 … 100")
-        return float(np.percentile(image, p))
+        return float(np.percentile(image, 98.0 if value is None else float(value)))
     if method == "otsu":
         return float(filters.threshold_otsu(image))  # type: ignore[no-untyped-call]
-    if method == "triangle":
-        return float(filters.threshold_triangle(image))  # type: ignore[no-untyped-call]
-    raise MufasaError(f"threshold method {method!r} is unknown: choose sigma, percentile, otsu or triangle")
+    return float(filters.threshold_triangle(image))  # type: ignore[no-untyped-call]
 
 
 def prominence(image: Image, positions_px: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]:

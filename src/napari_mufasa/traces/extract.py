@@ -150,6 +150,9 @@ def extract_traces(
     """
     options = _options(options, changes)
     frames = Frames(movie, camera, dark, unit)
+    if options.window is not None and not 1 <= options.window <= frames.n_frames:
+        raise MufasaError(f"window = {options.window} frames; the movie has {frames.n_frames}: give 1 … that")
+    frames.check_light()
     passes = (2 if positions_px is None else 1) + (1 if options.follow_drift else 0)
     report = _counter(progress, passes * frames.n_frames)
     sigma = options.psf_sigma_px or (find.estimate_sigma_px(frames) or 1.3)
@@ -172,8 +175,6 @@ def extract_traces(
     else:
         found = check_positions(positions_px)
         strength = outstanding = np.full(len(found), np.nan)
-    if options.position not in ("fit", "brightest_pixel"):
-        raise MufasaError(f"position {options.position!r} is unknown: choose 'fit' or 'brightest_pixel'")
     if options.position == "brightest_pixel" and positions_px is None:
         found = np.rint(found)
 
@@ -248,8 +249,6 @@ def _describe(
     dyn = dynamics(traces, options.step_false_alarm)
     window_start = np.full(len(positions), -1)
     if options.window is not None:
-        if not 1 <= options.window <= frames.n_frames:
-            raise MufasaError(f"window = {options.window} frames; the movie has {frames.n_frames}: give 1 … that")
         window_start = select.windows(dyn, options.window)
     table = pd.DataFrame(
         {
@@ -327,6 +326,9 @@ def _options(options: Options | None, changes: dict[str, Any]) -> Options:
     chosen = replace(options or Options(), **changes)
     if chosen.profile not in ("psf", "sum", "brightest_pixel"):
         raise MufasaError(f"profile {chosen.profile!r} is unknown: choose 'psf', 'sum' or 'brightest_pixel'")
+    if chosen.position not in ("fit", "brightest_pixel"):
+        raise MufasaError(f"position {chosen.position!r} is unknown: choose 'fit' or 'brightest_pixel'")
+    find.check_threshold(chosen.threshold, chosen.threshold_value)
     if chosen.psf_sigma_px is not None and not 0.3 <= chosen.psf_sigma_px <= 50:
         raise MufasaError(f"psf_sigma_px = {chosen.psf_sigma_px}: the PSF sd in pixels must lie in 0.3 … 50")
     for name in ("window", "best"):
