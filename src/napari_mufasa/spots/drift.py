@@ -80,8 +80,9 @@ class Field:
         y, x = (np.arange(c - reach, c + reach + 1) % n for c, n in zip(centre, self.padded, strict=True))
         window = correlation[np.ix_(y, x)]
         top = np.array(np.unravel_index(np.argmax(window), window.shape))
-        spread = np.median(np.abs(window - (middle := np.median(window)))) / 0.6745
-        if top.min() < 1 or top.max() > 2 * reach - 1 or window.max() - middle < STANDS_OUT * spread:
+        ranks = [int(0.1587 * window.size), window.size // 2]
+        low, middle = np.partition(window, ranks, axis=None)[ranks]
+        if top.min() < 1 or top.max() > 2 * reach - 1 or window.max() - middle < STANDS_OUT * (middle - low):
             return np.asarray(near, dtype=np.float64)
         return np.asarray(centre - reach + top + peak_offsets(window, top[None])[0], dtype=np.float64)
 
