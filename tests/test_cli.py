@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import tifffile
 import typer
 from tests.report_example import report
 from tests.spec_example import MODEL
@@ -202,6 +203,20 @@ def test_traces_are_tables_whose_level_is_the_designs(cli, movie_file, model_fil
     level = traces["photoelectrons"].mean()
     assert level == pytest.approx(predict(Model.from_json(model_file)).detected_e_per_frame, rel=0.06)
     assert {"traces.png", "molecules.png"} <= set(leftovers(tmp_path / "t"))
+
+
+@pytest.mark.parametrize(
+    ("value", "word"),
+    [(300, "nothing was recorded"), (65535, "saturated"), (None, "all frames of the movie are equal")],
+)
+def test_a_movie_that_shows_nothing_is_one_line(cli, model_file, tmp_path, value, word):
+    still = np.random.default_rng(0).integers(200, 300, (48, 48)).astype(np.uint16)
+    frame = still if value is None else np.full((48, 48), value, np.uint16)
+    tifffile.imwrite(tmp_path / "m.tif", np.repeat(frame[None], 30, axis=0), photometric="minisblack")
+    code, out, err = cli("traces", tmp_path / "m.tif", "--model", model_file, "--out", tmp_path / "t")
+    assert code == 2 and out == "" and word in err
+    assert len(err.strip().splitlines()) == 1 and "Traceback" not in err
+    assert not (tmp_path / "t").exists()
 
 
 def test_window_and_best_cut_the_traces(cli, model_file, tmp_path):

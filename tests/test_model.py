@@ -234,3 +234,17 @@ def test_a_camera_alone_is_checked_too():
 def test_two_effects_of_a_kind_are_refused():
     with pytest.raises(MufasaError, match=r"effects.1: row_noise is in the model already"):
         preset("FF").with_values({"effects": [{"kind": "row_noise"}, {"kind": "row_noise", "rms_adu": 3.0}]})
+
+
+def test_a_model_in_another_shape():
+    height, width = preset("FF").acquisition.shape_px
+    noise = np.arange(height * width, dtype=float).reshape(height, width)
+    model = preset("Blinking").in_shape(shape_px=(height, width)).with_values({"camera.offset_map_adu": noise})
+    part = model.in_shape(n_frames=7, region=(slice(3, 9), slice(2, 12)))
+    assert part.acquisition.n_frames == 7 and part.acquisition.shape_px == (6, 10)
+    np.testing.assert_array_equal(part.camera.offset_map_adu, noise[3:9, 2:12])
+    with pytest.raises(MufasaError, match="offset_map_adu"):
+        model.in_shape(shape_px=(6, 10))
+    assert model.in_shape(shape_px=(6, 10), maps=None).camera.offset_map_adu is None
+    back = part.in_shape(n_frames=model.acquisition.n_frames, shape_px=(height, width), maps=model.camera)
+    assert back == model and model.in_shape() == model

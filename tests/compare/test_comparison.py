@@ -18,10 +18,10 @@ from napari_mufasa.compare import (
     distributions,
     to_photoelectrons,
 )
-from napari_mufasa.compare.distributions import Sample, autocorrelation, dwell_frames
+from napari_mufasa.compare.distributions import Sample, dwell_frames, until_bleaching
 from napari_mufasa.files.traces import read_traces
 from napari_mufasa.files.whole import write_json
-from napari_mufasa.traces.select import dynamics
+from napari_mufasa.traces.dynamics import dynamics
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 
@@ -171,7 +171,7 @@ def test_autocorrelation_of_known_noise():
     white = rng.normal(size=(200, 400))
     smooth = white[:, 1:] + 0.5 * white[:, :-1]
     rows = Sample(smooth + 100, dynamics(smooth + 100))
-    found = autocorrelation(rows, 4)
+    found = until_bleaching(rows, 4)
     # MA(1): ρ₁ = 0.5/1.25; standard error of 200·399 samples below 0.005.
     np.testing.assert_allclose(found, [1.0, 0.4, 0.0, 0.0], atol=0.015)
 

@@ -11,11 +11,13 @@ from napari_mufasa.effects.illumination import IlluminationProfile
 from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
-from napari_mufasa.observe.pixels import block_means
-from napari_mufasa.observe.summary import OnStates, _gap_lengths, _slope
+from napari_mufasa.observe.summary import _gap_lengths, _slope
 from napari_mufasa.observe.table import Table
 from napari_mufasa.simulate.movie import SimulatedAcquisition
+from napari_mufasa.spots.evidence import block_means
+from napari_mufasa.spots.find import Found
 from napari_mufasa.spots.follow import follow
+from napari_mufasa.traces.dynamics import dynamics
 
 
 def small(n_frames=60, **values):
@@ -54,14 +56,13 @@ def test_parts_are_apart():
 
 
 def test_states_of_a_hand_made_trace():
-    light = np.zeros((1, 100))
-    light[0, 20:50] = 100.0
-    light[0, 60:80] = 100.0
-    states = OnStates.of(light)
-    assert abs(states.first[0] - 20) <= 2 and abs(states.last[0] - 79) <= 2
-    assert abs(states.level[0] - 100) < 15
-    gaps = _gap_lengths(states.on)
-    assert len(gaps) == 1 and abs(gaps[0] - 10) <= 3
+    light = np.random.default_rng(0).normal(0, 1, (1, 100))
+    light[0, 20:50] += 100.0
+    light[0, 60:80] += 100.0
+    states = dynamics(light)
+    assert (states.first[0], states.last[0]) == (20, 79)
+    assert states.on_level[0] == pytest.approx(100, abs=0.6)  # 50 frames of noise 1: standard error 0.14
+    assert _gap_lengths(states.lit) == [10]
 
 
 def test_table_keeps_order_and_never_holds_nan():
@@ -170,6 +171,7 @@ def test_a_spot_that_leaves_the_field_is_measured_as_far_as_it_goes():
     """Far outside its patch a spot is zero in every pixel: nothing may be divided by that."""
     movie = np.random.default_rng(2).poisson(100, (40, 32, 32)).astype(np.uint16)
     path = np.linspace(0, 1, 10)[:, None] * [60.0, 0.0]  # out of the field and 30 px on
-    spots = follow(movie, block_means(movie, 10), 100.0, 1.0, 1.2, path, np.array([[16.0, 16.0]]), np.ones(1))
+    found = Found(np.array([[16.0, 16.0]]), np.ones(1), np.ones(1), None)
+    spots = follow(movie, block_means(movie, np.arange(0, 41, 4)), 100.0, 1.0, 1.2, path, found)
     assert not spots.inside.any()
     assert np.isfinite(spots.light).all() and np.isfinite(spots.shape).all()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_mufasa.observe.pixels import block_means, pixel_statistics
+from napari_mufasa.observe.pixels import pixel_statistics
 from napari_mufasa.observe.table import COMB
 
 BASELINE = 100.0
@@ -70,9 +70,3 @@ def test_peak_is_found_and_the_second_is_elsewhere_in_time(label):
     found = pixel_statistics(movie, BASELINE, label, 2)
     assert found.peak[3, 4] == 4900 and found.second[3, 4] == 100
     assert found.second[6, 6] == 3900
-
-
-def test_block_means_cover_every_frame_once(movie):
-    blocks = block_means(movie, 7)
-    sizes = np.diff(np.linspace(0, len(movie), 8).round().astype(int))
-    np.testing.assert_allclose((blocks * sizes[:, None, None]).sum(0), movie.sum(0), rtol=1e-5)

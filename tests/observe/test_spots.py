@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+import napari_mufasa as nm
 from napari_mufasa import optics
-from napari_mufasa.observe.pixels import block_means
-from napari_mufasa.spots.follow import common_path, find_spots, follow
+from napari_mufasa.spots.drift import common_path
+from napari_mufasa.spots.evidence import block_means, spot_filter
+from napari_mufasa.spots.follow import find_and_follow
+from napari_mufasa.spots.kernels import moved_back
 
 SIGMA, SCALE, BASELINE = 1.3, 0.1, 200.0
 SHAPE = (64, 64)
@@ -26,10 +30,9 @@ def grid():
     return np.stack(np.meshgrid(np.arange(10.2, 60, 14), np.arange(9.7, 60, 14), indexing="ij"), -1).reshape(-1, 2)
 
 
-def measure(movie, blocks=10):
-    means = block_means(movie, blocks)
-    path, positions, significance = find_spots(means, SIGMA)
-    return follow(movie, means, BASELINE, SCALE, SIGMA, path, positions, significance)
+def measure(movie):
+    camera = nm.preset("PALM").camera.model_copy(update={"baseline_adu": BASELINE})
+    return find_and_follow(movie, camera, SCALE, SIGMA)
 
 
 def match(found, truth):
@@ -45,7 +48,7 @@ def test_every_spot_is_found_once_and_in_place():
 
 
 def test_an_empty_field_has_no_spots():
-    # The threshold is 6 sd on 4096 pixels × 4 images: about 2e-5 false spots expected.
+    # The threshold is 6 sd on 4096 pixels × about 150 images: about 1e-3 false spots expected.
     assert len(measure(movie_of(0.0, grid())).positions_px) == 0
 
 
@@ -88,5 +91,37 @@ def test_width_change_is_measured_along_its_axis(sigma, expected):
 
 
 def test_common_path_of_still_images_is_still():
-    means = block_means(movie_of(100.0, grid()), 10)
-    assert np.abs(common_path(means)).max() < 0.1
+    means = block_means(movie_of(100.0, grid()), np.arange(0, 121, 12))
+    assert np.abs(common_path(spot_filter(means, SIGMA))).max() < 0.1
+
+
+def test_a_path_longer_than_one_look_is_followed():
+    """30 px in ten images: each is looked for around the place of the last."""
+    rng = np.random.default_rng(0)
+    field = spot_filter(rng.poisson(5.0, (1, 128, 128)).astype(np.float32), SIGMA)[0]
+    shifts = np.linspace(0, 30, 10).round().astype(int)
+    moved = [np.roll(field, (s, -s), axis=(0, 1)) for s in shifts]
+    np.testing.assert_allclose(common_path(moved), np.stack([shifts, -shifts], axis=1), atol=0.3)
+
+
+@pytest.mark.parametrize("sigma", [0.6, 1.27, 3.0])
+@pytest.mark.parametrize("shape", [(5, 7), (40, 53)])
+def test_the_filter_is_the_difference_of_two_gaussian_blurs(sigma, shape):
+    images = np.random.default_rng(1).normal(size=(3, *shape)).astype(np.float32)
+    narrow = ndimage.gaussian_filter(images, sigma, axes=(1, 2), truncate=3.0)
+    wide = ndimage.gaussian_filter(images, 2 * sigma, axes=(1, 2), truncate=2.5)
+    np.testing.assert_allclose(spot_filter(images, sigma), narrow - wide, atol=2e-6)
+
+
+@pytest.mark.parametrize("kind", ["u2", "f8", ">u2"])
+def test_block_means_are_means(kind):
+    stack = np.random.default_rng(2).poisson(900.0, (23, 5, 6)).astype(kind)
+    found = block_means(stack, np.array([0, 4, 5, 23]))
+    np.testing.assert_allclose(found, [stack[:4].mean(0), stack[4], stack[5:].mean(0)], rtol=1e-6)
+
+
+def test_images_are_moved_back_as_scipy_does():
+    images = np.random.default_rng(3).normal(size=(2, 20, 24)).astype(np.float32)
+    shifts = np.array([[1.3, -2.6], [-0.4, 0.0]])
+    expected = [ndimage.shift(i, -s, order=1, mode="nearest") for i, s in zip(images, shifts, strict=True)]
+    np.testing.assert_allclose(moved_back(images, shifts), expected, atol=1e-6)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_mufasa.traces.select import dynamics
-from napari_mufasa.traces.steps import critical_value, find_steps, idealise
+from napari_mufasa.traces.dynamics import dynamics
+from napari_mufasa.traces.steps import find_steps, idealise, step_limit, stretch_limit
 
 
 @pytest.mark.parametrize("n_frames", [50, 300])
@@ -26,7 +26,8 @@ def test_electron_multiplied_noise_is_split_rarely():
 
 
 def test_a_higher_rate_lowers_the_limit():
-    assert critical_value(300, 0.05) < critical_value(300, 0.01) < critical_value(300, 0.001)
+    for limit in (step_limit, stretch_limit):
+        assert limit(300, 0.05) < limit(300, 0.01) < limit(300, 0.001)
 
 
 def test_steps_of_five_photoelectrons_are_found_within_a_frame():

@@ -29,7 +29,7 @@ def test_a_whole_extraction_in_one_hdf5_file(tmp_path):
     from tests.blind import generator
 
     import napari_mufasa as nm
-    from napari_mufasa.files.traces import write_traces
+    from napari_mufasa.traces.table import write_traces
 
     model = nm.Model.from_dict(generator.base_model("emccd")).with_values({"acquisition.n_frames": 40})
     places = np.array([[20.2, 30.1], [60.0, 60.4], [62.0, 60.4]])  # one alone, two too near to each other

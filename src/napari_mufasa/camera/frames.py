@@ -56,24 +56,81 @@ class Frames:
     def block_frames(self) -> int:
         return max(1, min(self.n_frames, BLOCK_BYTES // (4 * self.shape[1] * self.shape[2])))
 
-    def blocks(
+    def counts(
         self, multiple: int = 1, report: Callable[[int], None] | None = None, cancel: Callable[[], bool] | None = None
-    ) -> Iterator[tuple[int, Stack]]:
-        """(first frame, photoelectrons) in order; every block but the last has a multiple of `multiple` frames."""
+    ) -> Iterator[tuple[int, NDArray[Any]]]:
+        """(first frame, numbers as they are stored) in order; every block but the last has a multiple of `multiple`
+        frames. Raises `MufasaError` for numbers that this camera cannot have recorded."""
         size = max(multiple, self.block_frames() // multiple * multiple)
         for start in range(0, self.n_frames, size):
             if cancel is not None and cancel():
                 raise Cancelled
             raw = np.asarray(self.movie[start : start + size])
-            yield start, self.photoelectrons(raw)
+            self._check(raw)
+            yield start, raw
             if report is not None:
                 report(len(raw))
 
+    def check_light(self) -> None:
+        """Raise `MufasaError` for a movie that shows nothing: saturated, or the same in all pixels or all frames.
+
+        Reads no further than it must: two frames of a movie that shows something.
+        """
+        full = self._full()
+        saturated = uniform = still = True
+        first: NDArray[Any] | None = None
+        for start in (0, *range(min(2, self.n_frames), self.n_frames, self.block_frames())):
+            stop = min(2, self.n_frames) if start == 0 else start + self.block_frames()
+            raw = np.asarray(self.movie[start:stop])
+            first = raw[0] if first is None else first
+            low, high = raw.min(axis=(1, 2)), raw.max(axis=(1, 2))
+            saturated = saturated and full is not None and bool((low >= full).all())
+            uniform = uniform and bool((low == high).all())
+            still = still and bool((raw == first).all())
+            if not (saturated or uniform or (still and self.n_frames > 1)):
+                return
+        if saturated:
+            raise MufasaError(f"every pixel of the movie is saturated (at {full:g} or above): record with less light")
+        what = f"every pixel of the movie is {raw.flat[0]:g}" if uniform and still else ""
+        what = what or ("all pixels of a frame are equal" if uniform else "all frames of the movie are equal")
+        raise MufasaError(f"{what}: nothing was recorded; give the camera's raw movie")
+
+    def _full(self) -> float | None:
+        """The largest number that the movie can hold, where it is known."""
+        kind = np.dtype(self.movie.dtype)
+        limits = [float(np.iinfo(kind).max)] if kind.kind == "u" else []
+        limits += [float(self.camera.adc_max)] if self.unit == "adu" else []
+        return min(limits, default=None)
+
+    def blocks(
+        self, report: Callable[[int], None] | None = None, cancel: Callable[[], bool] | None = None
+    ) -> Iterator[tuple[int, Stack]]:
+        """(first frame, photoelectrons) in order."""
+        for start, raw in self.counts(report=report, cancel=cancel):
+            yield start, self._photoelectrons(raw)
+
     def photoelectrons(self, raw: NDArray[Any]) -> Stack:
+        self._check(raw)
+        return self._photoelectrons(raw)
+
+    def flat(self, counts: Stack) -> Stack:
+        """Counts, or means of them, as if all pixels had the same offset and gain: what finding spots needs, in any
+        unit. A detector's curve is left in: it keeps the order of brightness."""
+        camera = self.camera
+        if self.unit == "adu" and camera.offset_map_adu is not None:
+            counts = counts - camera.offset_map_adu.astype(np.float32)
+        if self.unit == "adu" and camera.gain_map is not None:
+            counts = (counts - np.float32(camera.baseline_adu)) / camera.gain_map.astype(np.float32)
+        return counts
+
+    def _check(self, raw: NDArray[Any]) -> None:
         if raw.dtype.kind == "f" and not np.isfinite(raw).all():
             raise MufasaError("movie has values that are not finite: mask or crop those frames first")
         if self.unit == "adu":
             detector.check_counts(raw, self.camera)
+
+    def _photoelectrons(self, raw: NDArray[Any]) -> Stack:
+        if self.unit == "adu":
             return detector.photoelectrons(raw, self.camera)
         if self.unit == "photons":
             return np.asarray(raw, np.float32) * np.float32(self.camera.quantum_efficiency)

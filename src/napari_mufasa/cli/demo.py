@@ -69,12 +69,12 @@ def investigate(
     from napari_mufasa import discover
     from napari_mufasa.compare import compare_movie
     from napari_mufasa.denoise.pipeline import denoise
-    from napari_mufasa.files import traces as trace_files
     from napari_mufasa.model.model import Model
     from napari_mufasa.report import figures
     from napari_mufasa.report import html as html_report
     from napari_mufasa.report.words import summary
     from napari_mufasa.traces import extract_traces
+    from napari_mufasa.traces.table import write_traces
 
     model = Model.from_json(directory / "model.json")
     movie, dark = files.load(directory / "movie.ome.tif"), files.load(directory / "dark.ome.tif")
@@ -86,7 +86,7 @@ def investigate(
     say(f"Denoised: {photons.mean():.2f} photons per pixel and frame on average.")
 
     traces = extract_traces(movie, model.camera, dark, psf_sigma_px=model.sigma_px, cancel=cancel)
-    trace_files.write_traces(directory, traces)
+    write_traces(directory, traces)
     say(f"Traces: {len(traces.traces)} molecules kept of {len(traces.molecules)} candidates.")
 
     before = compare_movie(movie, model, dark, fit=False, cancel=cancel)

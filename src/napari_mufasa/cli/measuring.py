@@ -119,9 +119,9 @@ def traces(
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
     from napari_mufasa import files
-    from napari_mufasa.files import traces as trace_files
     from napari_mufasa.model.model import Model
     from napari_mufasa.traces import extract_traces
+    from napari_mufasa.traces.table import write_traces
 
     console.check_folder_out(out)
     believed = Model.from_json(model)
@@ -135,7 +135,7 @@ def traces(
             min_snr=min_snr, **work.both(),
         )  # fmt: skip
     with files.filling(out) as folder:
-        trace_files.write_traces(folder, found, hdf5=hdf5)
+        write_traces(folder, found, hdf5=hdf5)
         write_figures(folder, _molecules_and_traces(recorded, found))
     _tell_molecules(out, found)
 

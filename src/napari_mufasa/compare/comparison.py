@@ -17,7 +17,8 @@ from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.simulate.movie import SimulatedAcquisition
 from napari_mufasa.traces import Options, TraceSet, extract_traces
-from napari_mufasa.traces.select import dynamics, windows
+from napari_mufasa.traces.dynamics import dynamics
+from napari_mufasa.traces.select import windows
 
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
@@ -108,7 +109,7 @@ def compare_movie(
             f"no molecule left to compare: {len(measured.molecules)} candidates, all rejected "
             f"({_most_frequent(measured)}); lower the threshold or relax the selection"
         )
-    model = _in_the_measurement(model, movie.shape)
+    model = model.in_shape(n_frames=movie.shape[0], shape_px=movie.shape[1:])
     everywhere = measured.positions_px[~measured.molecules["reason"].isin(_NOT_MOLECULES).to_numpy()]
     sets = {}
     for name, acquisition in acquisitions(model, everywhere, seed, sofi_times).items():
@@ -176,8 +177,7 @@ def compare_traces(
     """
     electrons = to_photoelectrons(traces, model, unit)
     n_frames = electrons.shape[1]
-    timing = model.acquisition.model_copy(update={"n_frames": n_frames})
-    model = model.model_copy(update={"acquisition": timing})
+    model = model.in_shape(n_frames=n_frames)
     options = Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=background_subtracted)  # type: ignore[arg-type]
     n = n_simulated or max(200, len(electrons))
     steps = _Steps(progress, 5 if fit else 4, cancel)
@@ -231,19 +231,12 @@ def to_photoelectrons(traces: NDArray[Any], model: Model, unit: str) -> NDArray[
     if unit == "photons":
         return array * model.camera.quantum_efficiency
     if unit == "adu":
-        maps = {"offset_map_adu": None, "gain_map": None, "variance_map_e2": None}
-        plain = model.camera.model_copy(update=maps)
+        plain = model.in_shape(maps=None).camera
         return detector.photoelectrons(array[:, None, :], plain)[:, 0].astype(np.float64)
     raise MufasaError(f"unit {unit!r} is unknown: choose 'adu', 'photoelectrons' or 'photons'")
 
 
 _NOT_MOLECULES = ("narrower than the PSF", "never on")
-
-
-def _in_the_measurement(model: Model, shape: tuple[int, ...]) -> Model:
-    """The model with the length and size of the measurement."""
-    update = {"n_frames": int(shape[0]), "shape_px": (int(shape[1]), int(shape[2]))}
-    return model.model_copy(update={"acquisition": model.acquisition.model_copy(update=update)})
 
 
 def _sample(traces: NDArray[np.floating]) -> Sample:

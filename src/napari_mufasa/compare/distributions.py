@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.traces.select import Dynamics
+from napari_mufasa.traces.correlation import autocovariance
+from napari_mufasa.traces.dynamics import Dynamics
 
 MAX_LAG = 50  # frames
 
@@ -52,7 +53,7 @@ def distributions(samples: dict[str, Sample], unit: str, interval_s: float = 1.0
         _histograms("counts", counts, f"signal per frame ({unit})"),
         Distribution(
             "autocorrelation", lags * interval_s, "lag (s)", "autocorrelation",
-            {name: autocorrelation(s, len(lags)) for name, s in samples.items()},
+            {name: until_bleaching(s, len(lags)) for name, s in samples.items()},
         ),
         Distribution(
             "on_times", frames * interval_s, "on time (s)", "share longer",
@@ -71,7 +72,7 @@ def distributions(samples: dict[str, Sample], unit: str, interval_s: float = 1.0
     return {d.name: d for d in result}
 
 
-def autocorrelation(sample: Sample, n_lags: int) -> NDArray[np.float64]:
+def until_bleaching(sample: Sample, n_lags: int) -> NDArray[np.float64]:
     """Autocorrelation of the traces until bleaching at lags 0 … n_lags − 1, weighted by their length.
 
     Each trace's mean is taken off; the bias this makes (−1/T) is the same in measurement and simulation.
@@ -84,14 +85,8 @@ def autocorrelation(sample: Sample, n_lags: int) -> NDArray[np.float64]:
     about = np.where(lit, traces - np.where(lit, traces, 0.0).sum(axis=1, keepdims=True) / length, 0.0)
     sd = np.sqrt((about**2).sum(axis=1, keepdims=True) / length)
     usable = (ends >= 3) & (sd[:, 0] > 0)
-    about, ends = about[usable] / sd[usable], ends[usable]
-    result = np.full(n_lags, np.nan)
-    for lag in range(n_lags):
-        long = ends - 1 > lag
-        weight = (ends[long] - lag).sum()
-        if weight > 0:
-            result[lag] = (about[long, : n_frames - lag] * about[long, lag:]).sum() / weight
-    return result
+    inside = lit[usable]
+    return autocovariance(about[usable] / sd[usable], inside, range(n_lags))
 
 
 def dwell_frames(lit: NDArray[np.bool_], state: bool) -> NDArray[np.int64]:

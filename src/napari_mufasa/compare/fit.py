@@ -19,7 +19,8 @@ from napari_mufasa.camera.detector import multiplication_noise
 from napari_mufasa.effects import effect_from_data
 from napari_mufasa.model.model import Model
 from napari_mufasa.traces import TraceSet
-from napari_mufasa.traces.select import Dynamics, dynamics
+from napari_mufasa.traces.correlation import autocovariance
+from napari_mufasa.traces.dynamics import Dynamics, dynamics
 
 ROUNDS = 3
 QUANTILES = 4000
@@ -151,7 +152,7 @@ def fit_gain(traces_adu: NDArray[np.floating], model: Model) -> tuple[Model, flo
 def _slow_variance(traces: NDArray[np.floating]) -> float:
     """Covariance of successive frames about the mean course: variance that is not noise of single frames."""
     about = traces - traces.mean(axis=0)
-    return float(np.mean(about[:, 1:] * about[:, :-1]))
+    return float(autocovariance(about, np.ones(about.shape, dtype=bool), [1])[0])
 
 
 def _nearest_scale(measured: Any, made: NDArray[np.floating]) -> float:

@@ -109,10 +109,8 @@ def simulate_traces(
 
     sigma = measured.sigma_px
     positions, shape = _grid(int(np.clip(len(measured.traces), 49, MOLECULES)), sigma, np.random.default_rng(seed))
-    maps = {"offset_map_adu": None, "gain_map": None, "variance_map_e2": None}  # they belong to the real field
     n_frames = measured.all_traces.shape[1]
-    timing = model.acquisition.model_copy(update={"n_frames": n_frames, "shape_px": shape})
-    here = model.model_copy(update={"camera": model.camera.model_copy(update=maps), "acquisition": timing})
+    here = model.in_shape(n_frames=n_frames, shape_px=shape, maps=None)
     acquisition = SimulatedAcquisition(here, positions, seed)
     blocks = []
     for start, stop in _stretches(n_frames, VOXELS // (shape[0] * shape[1])):

@@ -150,10 +150,7 @@ class FarApart:
         return acquisitions(self._here(model), self.positions_px, seed, sofi_times)
 
     def _here(self, model: Model) -> Model:
-        maps = {"offset_map_adu": None, "gain_map": None, "variance_map_e2": None}
-        camera = model.camera.model_copy(update=maps)  # maps belong to the real field
-        acquisition = model.acquisition.model_copy(update={"shape_px": self.shape_px})
-        return model.model_copy(update={"camera": camera, "acquisition": acquisition})
+        return model.in_shape(shape_px=self.shape_px, maps=None)
 
     def traces(self, acquisition: SimulatedAcquisition, cancel: Cancel | None = None) -> NDArray[np.float32]:
         """(molecule, frame) photoelectrons at the known positions."""

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.observe import Observation
-from napari_mufasa.observe.summary import OnStates
+from napari_mufasa.observe.summary import fluctuation
+from napari_mufasa.traces.correlation import autocovariance
 
 Array = NDArray[np.float64]
 POINTS = 40
@@ -44,27 +45,19 @@ def draw(
     return curves
 
 
-def _states(observation: Observation) -> OnStates:
-    spots = observation.spots
-    return OnStates.of(spots.light[spots.inside & spots.isolated])
-
-
 def _autocovariance(observation: Observation) -> tuple[Array, Array]:
-    states = _states(observation)
-    frames = states.light.shape[1]
+    light, states = observation.molecules()
+    frames = light.shape[1]
     lags = np.unique(np.round(np.geomspace(1, max(2, frames // 4), 16)).astype(int))
-    t = np.arange(frames)
-    span = (t >= states.first[:, None]) & (t <= states.last[:, None])
-    deviation = np.where(span, states.light / states.level[:, None] - 1, 0.0)
-    y = [(deviation[:, k:] * deviation[:, :-k]).sum() / max(int((span[:, k:] & span[:, :-k]).sum()), 1) for k in lags]
-    return lags.astype(float), np.array(y)
+    return lags.astype(float), np.nan_to_num(autocovariance(*fluctuation(light, states), lags))
 
 
 def _counts(observation: Observation) -> tuple[Array, Array]:
-    states = _states(observation)
+    light, states = observation.molecules()
     edges = np.linspace(-0.8, 3.2, POINTS + 1)
-    relative = states.light / np.median(states.level) if states.light.size else np.zeros(1)
-    density = np.histogram(relative, edges, density=True)[0] if relative.size else np.zeros(POINTS)
+    density = (
+        np.histogram(light / np.median(states.on_level), edges, density=True)[0] if len(light) else np.zeros(POINTS)
+    )
     return (edges[1:] + edges[:-1]) / 2, np.nan_to_num(density)
 
 
@@ -82,13 +75,13 @@ def _ensemble(observation: Observation, frame_s: float) -> tuple[Array, Array]:
 
 
 def _survival(observation: Observation, frame_s: float) -> tuple[Array, Array]:
-    states = _states(observation)
-    t = np.linspace(0, states.light.shape[1], POINTS)
+    light, states = observation.molecules()
+    t = np.linspace(0, light.shape[1], POINTS)
     return t * frame_s, np.array([(states.last >= at).mean() if states.last.size else 0.0 for at in t])
 
 
 def _levels(observation: Observation) -> tuple[Array, Array]:
-    level = np.sort(_states(observation).level)
+    level = np.sort(observation.molecules()[1].on_level)
     if not level.size:
         return np.linspace(0, 1, POINTS), np.zeros(POINTS)
     x = np.linspace(0, 2.5 * np.median(level), POINTS)

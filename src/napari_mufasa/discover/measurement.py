@@ -53,7 +53,9 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         if dark_shape[0] < 5:
             raise MufasaError(f"{dark_shape[0]} dark frames are too few: give at least 5, better 50")
         dark_data = _counts(np.asarray(dark[: min(dark_shape[0], DARK_FRAMES), rows, columns]), "dark stack", model)
-    return Measurement(data, dark_data, _reshaped(model, shape, region), tuple(notes))
+    whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
+    here = whole.in_shape(n_frames=frames, region=(rows, columns)).with_values({"sample.layout": "random"})
+    return Measurement(data, dark_data, here, tuple(notes))
 
 
 def _check(movie: Any, what: str) -> tuple[int, int, int]:
@@ -85,20 +87,3 @@ def _crop(shape: tuple[int, int], area: int) -> tuple[slice, slice]:
     w = min(width, max(side, area // h) if h else width)
     top, left = (height - h) // 2, (width - w) // 2
     return slice(top, top + h), slice(left, left + w)
-
-
-def _reshaped(model: Model, shape: tuple[int, int, int], region: tuple[slice, slice, slice]) -> Model:
-    frames, rows, columns = region
-    size = (rows.stop - rows.start, columns.stop - columns.start)
-    values: dict[str, Any] = {
-        "acquisition.n_frames": frames.stop,
-        "acquisition.shape_px": size,
-        "sample.layout": "random",
-    }
-    for name in ("offset_map_adu", "gain_map", "variance_map_e2"):
-        value = getattr(model.camera, name)
-        if value is not None:
-            if value.shape != shape[1:]:
-                raise MufasaError(f"camera.{name} is {value.shape}, the movie {shape[1:]}: give a map of the movie")
-            values[f"camera.{name}"] = value[rows, columns]
-    return model.with_values(values)

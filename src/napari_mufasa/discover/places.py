@@ -102,7 +102,8 @@ def find_places(
     from napari_mufasa.traces import extract_traces
 
     movie, dark = measurement.movie, measurement.dark
-    model = _in_this_field(model, measurement)
+    frames, height, width = movie.shape
+    model = model.in_shape(n_frames=frames, shape_px=(height, width), maps=measurement.model.camera)
     options: dict[str, Any] = {"psf_sigma_px": model.sigma_px, "cancel": cancel}
     found = extract_traces(movie, model.camera, dark, **options)
     # What is no molecule is not simulated: it shall stand out.
@@ -132,15 +133,6 @@ def find_places(
     frames = z.pop("frames")
     maps = {name: values.astype(np.float32) for name, values in z.items()}
     return Places(maps, np.asarray(frames, float), table, offset, len(movie), simulated, model)
-
-
-def _in_this_field(model: Model, measurement: Any) -> Model:
-    """The model with the shape, length and camera maps of what was looked at."""
-    frames, *shape = measurement.movie.shape
-    maps = {n: getattr(measurement.model.camera, n) for n in ("offset_map_adu", "gain_map", "variance_map_e2")}
-    camera = model.camera.model_copy(update=maps)
-    timing = model.acquisition.model_copy(update={"n_frames": int(frames), "shape_px": (int(shape[0]), int(shape[1]))})
-    return model.model_copy(update={"camera": camera, "acquisition": timing})
 
 
 def _maps(movie: NDArray[Any], dark: NDArray[Any] | None) -> dict[str, NDArray[np.float64]]:
@@ -209,12 +201,14 @@ def _numbers(traces: Any) -> pd.DataFrame:
     """One row per molecule: what its trace shows, in numbers whose noise is about even."""
     import pandas as pd
 
+    from napari_mufasa.traces.correlation import lagged
+
     light, lit = traces.all_traces.astype(np.float64), traces.lit
     table = traces.molecules
     count = np.maximum(lit.sum(axis=1), 1)
     level = np.maximum((light * lit).sum(axis=1) / count, 1e-3)
     deviation = np.where(lit, light / level[:, None] - 1, 0.0)
-    both = lit[:, 1:] & lit[:, :-1]
+    products, pairs = lagged(deviation, lit, 1)
     frame = np.arange(light.shape[1])
     middle = (lit * frame).sum(axis=1) / count
     from_middle = np.where(lit, frame - middle[:, None], 0.0)
@@ -225,7 +219,7 @@ def _numbers(traces: Any) -> pd.DataFrame:
             "brightness": np.log(level),
             "trend": slope * light.shape[1],
             "flicker": np.log((deviation**2).sum(axis=1) / count + 1e-6),
-            "memory": (deviation[:, 1:] * deviation[:, :-1] * both).sum(axis=1) / np.maximum(both.sum(axis=1), 1),
+            "memory": products / np.maximum(pairs, 1),
             "gaps": np.sqrt(table["n_blinks"].to_numpy(float)),
             "steps": np.sqrt(table["n_steps"].to_numpy(float)),
             "last": last / light.shape[1],

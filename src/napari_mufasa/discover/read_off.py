@@ -15,6 +15,7 @@ from scipy import ndimage
 from napari_mufasa.effects.courses import stepwise
 from napari_mufasa.observe import Observation
 from napari_mufasa.observe.summary import mean_shape
+from napari_mufasa.spots.drift import SEEN_PX
 
 Array = NDArray[np.float64]
 Reader = Callable[[Observation], dict[str, Any]]
@@ -26,7 +27,6 @@ RELIEF = (
     0.5  # variance of the smoothed map over that of what smoothing takes away: white noise on 12 × 12 tiles reached
 )
 # 0.42 at most in 20 000 draws, on 6 × 6 tiles one in 80 passes
-SEEN_PX = 0.3  # a common path that reaches farther is no noise
 PATH_VALUES, PRECISE_PX = 30, 0.03  # most values of a path, and how precise each should be
 FIFTHS = 5
 

@@ -179,9 +179,9 @@ def _restored(model: Model, believed: Model) -> Model:
     """The model in the user's own form: the measurement's crop undone, density per area kept."""
     area = np.prod(believed.acquisition.shape_px) / np.prod(model.acquisition.shape_px)
     sample = believed.sample.model_copy(update={"n_molecules": max(1, round(model.sample.n_molecules * float(area)))})
-    maps = {n: getattr(believed.camera, n) for n in ("offset_map_adu", "gain_map", "variance_map_e2")}
-    camera = model.camera.model_copy(update=maps)
-    return model.model_copy(update={"acquisition": believed.acquisition, "sample": sample, "camera": camera})
+    timing = believed.acquisition
+    whole = model.in_shape(n_frames=timing.n_frames, shape_px=timing.shape_px, maps=believed.camera)
+    return whole.model_copy(update={"sample": sample})
 
 
 def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: Model) -> list[str]:

@@ -25,7 +25,7 @@ from napari_mufasa.effects import catalogue, effect_class
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.traces import Options
-from napari_mufasa.traces.select import dynamics
+from napari_mufasa.traces.dynamics import dynamics
 
 Traces = NDArray[np.floating]
 Progress = Callable[[int, int], None]

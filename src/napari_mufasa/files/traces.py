@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,6 @@ from napari_mufasa.files.whole import PathLike, replacing, write_table
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from napari_mufasa.traces import TraceSet
 
 Unit = Literal["photoelectrons", "photons", "adu"]
 Channel = Literal["donor", "acceptor", "sum"]
@@ -77,34 +75,6 @@ def read_trace_file(path: PathLike, *, unit: Unit | None = None, channel: Channe
     return found if unit is None else replace(found, unit=unit)
 
 
-def write_traces(directory: PathLike, traces: TraceSet, *, hdf5: bool = False) -> None:
-    """traces.csv with the kept traces and molecules.csv with every candidate and its reason; with `hdf5` traces.h5.
-
-    traces.h5 holds the kept traces (``traces``, ``molecule``), the table's columns in the group ``molecules`` and
-    every candidate's whole trace in ``all_traces``.
-    """
-    write_table(Path(directory) / "traces.csv", trace_table(traces))
-    write_table(Path(directory) / "molecules.csv", traces.molecules)
-    if not hdf5:
-        return
-    kept = traces.molecules["molecule"].to_numpy()[traces.kept]
-    with _hdf5_file(Path(directory) / "traces.h5", traces.traces, cast(Unit, traces.units), kept) as file:
-        file.create_dataset("all_traces", data=traces.all_traces, compression="gzip")
-        for name, column in traces.molecules.items():
-            values = column.to_numpy()
-            file[f"molecules/{name}"] = values.astype(bytes) if values.dtype == object else values
-
-
-def trace_table(traces: TraceSet) -> pd.DataFrame:
-    """The kept traces, tidy (molecule, frame, photoelectrons); frames count from the movie's first."""
-    kept = traces.molecules[traces.kept]
-    table = tidy(traces.traces, cast(Unit, traces.units), kept["molecule"].to_numpy())
-    if traces.options.window is not None:
-        first = np.maximum(kept["window_start"].to_numpy(), 0)
-        table["frame"] += np.repeat(first, traces.traces.shape[1])
-    return table
-
-
 def tidy(traces: NDArray[Any], unit: Unit, molecules: NDArray[np.integer]) -> pd.DataFrame:
     """One row per molecule and frame: molecule, frame, and the value under its unit's name."""
     import pandas as pd
@@ -139,14 +109,14 @@ def write_trace_file(
             data = np.ascontiguousarray(traces.T, dtype=np.float32)
             tifffile.imwrite(temporary, data, metadata={"unit": unit}, photometric="minisblack")
     elif suffix in (".h5", ".hdf5"):
-        with _hdf5_file(path, traces, unit, ids):
+        with hdf5_file(path, traces, unit, ids):
             pass
     else:
         raise MufasaError(f"cannot write traces to {path}: use .csv, .tif or .h5")
 
 
 @contextlib.contextmanager
-def _hdf5_file(path: PathLike, traces: NDArray[Any], unit: Unit, ids: NDArray[np.integer]) -> Iterator[Any]:
+def hdf5_file(path: PathLike, traces: NDArray[Any], unit: Unit, ids: NDArray[np.integer]) -> Iterator[Any]:
     """A new HDF5 file with these traces, open for more; it appears when it is whole."""
     h5py = _h5py()
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:

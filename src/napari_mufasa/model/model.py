@@ -10,7 +10,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, SerializeAsAny, ValidationError
 
@@ -19,7 +19,7 @@ from napari_mufasa.files.whole import write_text
 from napari_mufasa.model.effect import Effect
 from napari_mufasa.model.explain import explain
 from napari_mufasa.model.registry import effect_class, effect_from_data
-from napari_mufasa.model.setup import Setup
+from napari_mufasa.model.setup import MAPS, Camera, Setup
 
 
 def _effects(value: Any) -> Any:
@@ -103,6 +103,44 @@ class Model(Setup):
                 raise MufasaError(f"a model has no {path}: names are those of model.json, as optics.psf_fwhm_nm")
             target[name] = value
         return Model.from_dict(data)
+
+    def in_shape(
+        self,
+        *,
+        n_frames: int | None = None,
+        shape_px: tuple[int, int] | None = None,
+        region: tuple[slice, slice] | None = None,
+        maps: Camera | Literal["own"] | None = "own",
+    ) -> Model:
+        """The model for a movie of another length or shape.
+
+        Parameters
+        ----------
+        n_frames, shape_px : frames and (height, width) of that movie; None: as they are
+        region : (rows, columns) of the field that the movie shows, instead of `shape_px`: the camera's maps are cropped
+        maps : whose maps the pixels have: the model's "own", another camera's, or None: a made-up field has none
+
+        Raises
+        ------
+        MufasaError : maps that do not have the movie's shape.
+        """
+        timing, camera = self.acquisition, self.camera if maps == "own" else maps
+        found: dict[str, Any] = {name: getattr(camera, name, None) for name in MAPS}
+        if region is not None:
+            found = {name: None if value is None else value[region] for name, value in found.items()}
+            height, width = (len(range(*part.indices(n))) for part, n in zip(region, timing.shape_px, strict=True))
+            shape_px = (height, width)
+        shape = timing.shape_px if shape_px is None else (int(shape_px[0]), int(shape_px[1]))
+        for name, value in found.items():
+            if value is not None and value.shape != tuple(shape):
+                raise MufasaError(f"camera.{name} is {value.shape}, the movie {tuple(shape)}: give a map of the movie")
+        frames = timing.n_frames if n_frames is None else int(n_frames)
+        return self.model_copy(
+            update={
+                "acquisition": timing.model_copy(update={"n_frames": frames, "shape_px": shape}),
+                "camera": self.camera.model_copy(update=found),
+            }
+        )
 
     def with_effects(self, *effects: Effect) -> Model:
         """A copy with further effects; one of a kind already there is replaced."""

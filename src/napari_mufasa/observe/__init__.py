@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_mufasa.observe import field, summary
-from napari_mufasa.observe.pixels import block_means, pixel_statistics
+from napari_mufasa.observe.pixels import pixel_statistics
 from napari_mufasa.observe.summary import Part
 from napari_mufasa.observe.table import Meaning, Table
-from napari_mufasa.spots.follow import BLOCKS, Spots, find_spots, follow
+from napari_mufasa.spots.follow import Spots, find_and_follow
+from napari_mufasa.traces.dynamics import Dynamics, dynamics
 
 if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
@@ -34,12 +35,18 @@ class Observation:
     names: tuple[str, ...]
     meanings: dict[str, Meaning]
     spots: Spots
+    states: Dynamics  # of the spots' light
     course: NDArray[np.float64]  # (frame,) background, photoelectrons
     background_map: NDArray[np.float64]  # (tile_y, tile_x) background, photoelectrons, NaN under spots
 
     def part(self, name: str) -> NDArray[np.float64]:
         result: NDArray[np.float64] = self.values[PARTS.index(name)]
         return result
+
+    def molecules(self) -> tuple[NDArray[np.float64], Dynamics]:
+        """Light (molecule, frame) and dynamics of the molecules whose traces count."""
+        seen = summary.well_seen(self.spots, self.states)
+        return self.spots.light[seen], self.states.of(seen)
 
 
 PART_LABELS = ((1, 2), (1,), (2,))
@@ -76,13 +83,12 @@ def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | DarkView | N
     camera = model.camera
     scale = photoelectrons_per_adu(model)
     sigma = model.sigma_px
-    blocks = block_means(movie, min(BLOCKS, len(movie)))
-    path, positions, significance = find_spots(blocks, sigma)
-    spots = follow(movie, blocks, camera.baseline_adu, scale, sigma, path, positions, significance)
+    spots = find_and_follow(movie, camera, scale, sigma)
+    states = dynamics(spots.light)
     tiles = checkerboard(movie.shape[1:])
     label = np.where(_near_spots(movie.shape[1:], spots, 4 * sigma), 0, tiles).astype(np.int8)
     pixels = pixel_statistics(movie, camera.baseline_adu, label, 2)
-    at = np.clip(np.rint(positions).astype(int), 0, np.array(movie.shape[1:]) - 1)
+    at = np.clip(np.rint(spots.positions_px).astype(int), 0, np.array(movie.shape[1:]) - 1)
     side = tiles[at[:, 0], at[:, 1]]
     if dark is not None and not isinstance(dark, DarkView):
         dark = view_dark(dark, model)
@@ -90,7 +96,7 @@ def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | DarkView | N
     for i, labels in enumerate(PART_LABELS):
         table = Table()
         part = Part(labels, np.isin(side, labels))
-        summary.molecules(table, spots, part, movie.shape[1:])
+        summary.molecules(table, spots, states, part, movie.shape[1:])
         field.background(table, pixels, spots, label, tiles, part, scale)
         if dark is not None:
             table.include(dark.tables[i])
@@ -99,7 +105,7 @@ def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | DarkView | N
     values = np.array([list(t.values.values()) for t in tables])
     course = pixels.row_sum[1:].sum(axis=(0, 2)) * scale / max(int((label > 0).sum()), 1)
     background = field.tile_means(pixels.mean * scale, label > 0)
-    return Observation(values, names, tables[0].meanings, spots, course, background)
+    return Observation(values, names, tables[0].meanings, spots, states, course, background)
 
 
 def photoelectrons_per_adu(model: Model) -> float:

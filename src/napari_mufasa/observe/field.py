@@ -16,6 +16,7 @@ from napari_mufasa.observe.table import COMB, Table
 from napari_mufasa.spots.follow import Spots
 
 Array = NDArray[np.float64]
+SMOOTH_PX = 2.0  # what varies over more than this is no pattern of pixels
 TILE = 8  # px; the background's map is made of tiles of this side
 
 
@@ -85,11 +86,11 @@ def sensor(table: Table, pixels: PixelStatistics, mask: NDArray[np.bool_], part:
     n = pixels.n_frames
     noise = pixels.step_variance.sum(axis=0) / 2
     spread = max(_over(noise, mask), 1e-9)
-    smooth = _masked_smooth(pixels.mean, mask, 2.0)
-    high = pixels.mean - smooth
+    weight = np.maximum(ndimage.gaussian_filter(mask.astype(float), SMOOTH_PX), 1e-3)
+    high = pixels.mean - _masked_smooth(pixels.mean, mask, weight)
     core = np.clip(high, -6 * np.sqrt(spread / n), 6 * np.sqrt(spread / n))
     table.log(f"{prefix}pixel_pattern", _over(core**2, mask) / (spread / n), "fixed pattern / noise", where)
-    deviation = noise - _masked_smooth(noise, mask, 2.0)
+    deviation = noise - _masked_smooth(noise, mask, weight)
     table.add(
         f"{prefix}pixel_gain", _correlation(high, deviation, mask), "pattern that comes with its own noise", "", where
     )
@@ -278,9 +279,8 @@ def _over(values: Array, mask: NDArray[np.bool_]) -> float:
     return float(values[mask].mean()) if mask.any() else 0.0
 
 
-def _masked_smooth(values: Array, mask: NDArray[np.bool_], sigma: float) -> Array:
-    weight = ndimage.gaussian_filter(mask.astype(float), sigma)
-    result: Array = ndimage.gaussian_filter(np.where(mask, values, 0.0), sigma) / np.maximum(weight, 1e-3)
+def _masked_smooth(values: Array, mask: NDArray[np.bool_], weight: Array) -> Array:
+    result: Array = ndimage.gaussian_filter(np.where(mask, values, 0.0), SMOOTH_PX) / weight
     return result
 
 

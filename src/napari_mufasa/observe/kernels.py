@@ -94,26 +94,3 @@ def in_space(movie, baseline, label, parts):  # type: ignore[no-untyped-def]
             for x in range(width):
                 comb[x & 3, label[y, x], movie[t, y, x] % COMB] += 1
     return rows, columns, comb.sum(axis=0)
-
-
-@vectorised
-def amplitudes(movie, baseline, corner, weights, block_of):  # type: ignore[no-untyped-def]
-    """Weighted sums (molecule, frame, term) of the counts in each spot's window."""
-    n_molecules, _, n_terms, size, _ = weights.shape
-    n_frames = movie.shape[0]
-    result = np.zeros((n_molecules, n_frames, n_terms))
-    values = np.empty(size * size)
-    for m in range(n_molecules):
-        for t in range(n_frames):
-            b = block_of[t]
-            y0, x0 = corner[m, b, 0], corner[m, b, 1]
-            for i in range(size):
-                for j in range(size):
-                    values[i * size + j] = movie[t, y0 + i, x0 + j] - baseline
-            for k in range(n_terms):
-                total = 0.0
-                weight = weights[m, b, k].ravel()
-                for p in range(size * size):
-                    total += weight[p] * values[p]
-                result[m, t, k] = total
-    return result

@@ -6,9 +6,7 @@ and their surroundings, 1 … background of a part of the field, so that parts c
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +42,6 @@ class PixelStatistics:
     peak: Array
     peak_frame: NDArray[np.int64]
     second: Array
-
-
-def block_means(movie: NDArray[Any], n_blocks: int) -> NDArray[np.float32]:
-    """(block, y, x) means over successive, nearly equal blocks of frames."""
-    edges = np.linspace(0, len(movie), n_blocks + 1).round().astype(int)
-    return np.stack([movie[a:b].mean(axis=0, dtype=np.float32) for a, b in itertools.pairwise(edges)])
 
 
 def pixel_statistics(

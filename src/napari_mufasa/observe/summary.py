@@ -17,10 +17,13 @@ from scipy import ndimage
 
 from napari_mufasa.observe.table import Table
 from napari_mufasa.spots.follow import Spots
+from napari_mufasa.traces.correlation import autocovariance
+from napari_mufasa.traces.dynamics import Dynamics
 
 Array = NDArray[np.float64]
 LAGS = (1, 2, 3, 5, 10, 20, 50)
 BINS = 5  # time bins of the slow courses
+LEAST_SNR = 0.3  # per frame: below it what is on and what is off cannot be told
 
 
 @dataclass(frozen=True)
@@ -31,39 +34,25 @@ class Part:
     molecules: NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class OnStates:
-    """Where molecules are on: trace smoothed over five frames above half its top level."""
-
-    light: Array  # (molecule, frame)
-    level: Array  # (molecule,) mean light while on
-    on: NDArray[np.bool_]
-    first: Array
-    last: Array
-
-    @classmethod
-    def of(cls, light: Array) -> OnStates:
-        smooth = ndimage.uniform_filter1d(light, 5, axis=1, mode="nearest")
-        top = np.quantile(smooth, 0.9, axis=1, keepdims=True) if light.size else np.zeros((len(light), 1))
-        # A molecule lit for a short time is judged by its own brightest stretch.
-        top = np.maximum(top, 0.6 * smooth.max(axis=1, keepdims=True, initial=0.0))
-        on = smooth > 0.5 * top
-        count = np.maximum(on.sum(axis=1), 1)
-        level = np.maximum((light * on).sum(axis=1) / count, 1e-6)
-        n = light.shape[1]
-        first = np.argmax(on, axis=1) if n else np.zeros(len(light))
-        last = n - 1 - np.argmax(on[:, ::-1], axis=1) if n else np.zeros(len(light))
-        return cls(light, level, on, first.astype(float), last.astype(float))
+def well_seen(spots: Spots, states: Dynamics) -> NDArray[np.bool_]:
+    """(molecule,) the molecules whose traces count: alone, inside the field, and on at a level beyond doubt."""
+    return np.asarray(spots.inside & spots.isolated & (states.first >= 0) & (states.snr > LEAST_SNR))
 
 
-def molecules(table: Table, spots: Spots, part: Part, shape_px: tuple[int, int]) -> None:
-    """Observables of the molecules of a part."""
-    chosen = part.molecules & spots.inside
-    table.count("spots", float(chosen.sum()), "number of spots", "whole movie")
-    keep = chosen & spots.isolated
-    states = OnStates.of(spots.light[keep])
+def fluctuation(light: Array, states: Dynamics) -> tuple[Array, NDArray[np.bool_]]:
+    """Light over the on level, minus 1, and the frames from first to last light, each (molecule, frame)."""
+    t = np.arange(light.shape[1])
+    span = (t >= states.first[:, None]) & (t <= states.last[:, None])
+    return light / states.on_level[:, None] - 1, span
+
+
+def molecules(table: Table, spots: Spots, states: Dynamics, part: Part, shape_px: tuple[int, int]) -> None:
+    """Observables of the molecules of a part; `states` are those of all spots."""
+    table.count("spots", float((part.molecules & spots.inside).sum()), "number of spots", "whole movie")
+    keep = part.molecules & well_seen(spots, states)
+    light, states = spots.light[keep], states.of(keep)
     _levels(table, states, spots.positions_px[keep], shape_px)
-    _kinetics(table, states)
+    _kinetics(table, light, states)
     _shape_and_motion(table, spots, keep)
 
 
@@ -93,8 +82,8 @@ def _quantile(values: Array, q: float, default: float = 0.0) -> float:
     return float(np.partition(values, rank)[rank])
 
 
-def _levels(table: Table, states: OnStates, positions: Array, shape_px: tuple[int, int]) -> None:
-    logs = np.log(states.level)
+def _levels(table: Table, states: Dynamics, positions: Array, shape_px: tuple[int, int]) -> None:
+    logs = np.log(states.on_level)
     where = "level of each spot while on"
     middle = _trimmed_mean(logs)
     table.add("level", middle, "brightness of a spot (mean of the middle four fifths)", "ln e⁻", where)
@@ -120,12 +109,11 @@ def _slopes(values: Array, v: Array, u: Array) -> tuple[float, float, float]:
     return float(r2), float(y), float(x)
 
 
-def _kinetics(table: Table, states: OnStates) -> None:
-    light, on, level = states.light, states.on, states.level[:, None]
+def _kinetics(table: Table, light: Array, states: Dynamics) -> None:
     n, frames = light.shape
-    relative = light / level
-    t = np.arange(frames)
-    span = (t >= states.first[:, None]) & (t <= states.last[:, None])
+    on, t = states.lit, np.arange(frames)
+    deviation, span = fluctuation(light, states)
+    relative = deviation + 1
     edge = max(2, frames // 100)
 
     for q in (0.05, 0.25, 0.75, 0.95):
@@ -141,12 +129,8 @@ def _kinetics(table: Table, states: OnStates) -> None:
         "",
         "traces",
     )
-    deviation = np.where(span, relative - 1, 0.0)
-    for lag in LAGS:
-        if lag >= frames:
-            continue
-        pairs = (span[:, lag:] & span[:, :-lag]).sum()
-        covariance = (deviation[:, lag:] * deviation[:, :-lag]).sum() / max(pairs, 1)
+    lags = [lag for lag in LAGS if lag < frames]
+    for lag, covariance in zip(lags, np.nan_to_num(autocovariance(deviation, span, lags)), strict=True):
         table.add(f"autocorrelation_{lag}", covariance, f"trace covariance at lag {lag}", "level²", f"lag {lag} frames")
 
     first, last = states.first / frames, states.last / frames
@@ -164,7 +148,7 @@ def _kinetics(table: Table, states: OnStates) -> None:
         "survival_100", _mean(last >= 1 - (edge + 1) / frames, 1.0), "molecules seen to the end", "", "end of traces"
     )
     bins = np.minimum(t * BINS // max(frames, 1), BINS - 1)
-    total = max(float(states.level.sum()), 1e-6)
+    total = max(float(states.on_level.sum()), 1e-6)
     for b in range(BINS):
         table.add(
             f"ensemble_{b + 1}",
@@ -173,7 +157,7 @@ def _kinetics(table: Table, states: OnStates) -> None:
             "level",
             f"time bin {b + 1}",
         )
-    gaps = _gap_lengths(on & span)
+    gaps = _gap_lengths(on)
     for low, high, name in ((1, 5, "short"), (6, 19, "middle"), (20, 10**9, "long")):
         found = sum(int(low <= g <= high) for g in gaps)
         table.add(f"gap_{name}", np.sqrt((found + 0.1) / max(n, 1)), f"{name} gaps per molecule", "√", "gaps in traces")
@@ -231,10 +215,10 @@ def _running_top(smooth: Array) -> Array:
     return np.quantile(smooth, 0.95, axis=1, keepdims=True)
 
 
-def _brightness_of_enders(states: OnStates, ends: NDArray[np.bool_]) -> float:
+def _brightness_of_enders(states: Dynamics, ends: NDArray[np.bool_]) -> float:
     if ends.sum() < 3 or (~ends).sum() < 3:
         return 0.0
-    logs = np.log(states.level)
+    logs = np.log(states.on_level)
     return float(np.median(logs[ends]) - np.median(logs[~ends]))
 
 
@@ -339,13 +323,13 @@ def _slope(x: Array, y: Array) -> float:
 
 
 def _nanmedian(values: Array) -> Array:
-    """Median over molecules per block, 0 where none is lit."""
-    result = np.zeros(values.shape[1:])
-    for b in range(values.shape[1]):
-        lit = values[np.isfinite(values[:, b, 0]), b]
-        if len(lit):
-            result[b] = np.median(lit, axis=0)
-    return result
+    """Median over molecules per block (molecule, block, axis), 0 where none is lit."""
+    if not len(values):
+        return np.zeros(values.shape[1:])
+    ordered = np.sort(values, axis=0)  # nan last
+    lit = np.isfinite(values).sum(axis=0)
+    middle = [np.take_along_axis(ordered, np.maximum(at, 0)[None], axis=0)[0] for at in ((lit - 1) // 2, lit // 2)]
+    return np.where(lit > 0, 0.5 * (middle[0] + middle[1]), 0.0)
 
 
 def _nanmean(values: Array) -> Array:

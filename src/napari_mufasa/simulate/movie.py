@@ -171,9 +171,8 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
     need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     # Slow courses keep the movie's pace: the dark frames are as if taken at its beginning.
     frames = max(int(n_frames), model.acquisition.n_frames)
-    acquisition = model.acquisition.model_copy(update={"n_frames": frames})
     optics = model.optics.model_copy(update={"background_photons_per_px": 0.0})
-    dark_model = model.model_copy(update={"acquisition": acquisition, "optics": optics})
+    dark_model = model.in_shape(n_frames=frames).model_copy(update={"optics": optics})
     # The sensor's patterns are the movie's (same seed); its noise is not.
     scene = build_scene(dark_model, np.empty((0, 2)), Streams(seed))
     scene.streams = Streams(seed + 2**32)

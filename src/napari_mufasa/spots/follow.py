@@ -1,4 +1,4 @@
-"""Spots: common motion, detection, light and displacement of each in each frame.
+"""What spots do in time: light, displacement and shape of each in each frame.
 
 Apertures follow the common motion, so that drift does not look like molecules going dark. A spot's light is
 the least-squares amplitude of the PSF on a local constant, with its derivatives as further terms: their
@@ -8,14 +8,20 @@ amplitudes are displacements and changes of width, linear in the data and theref
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+
+from napari_mufasa.camera.frames import Frames
+from napari_mufasa.spots.drift import SEEN_PX, between, common_path
+from napari_mufasa.spots.evidence import block_means, spot_filter
+from napari_mufasa.spots.find import Found, find_spots, isolation_px, neighbour_px
+
+if TYPE_CHECKING:
+    from napari_mufasa.model.setup import Camera
 
 Array = NDArray[np.float64]
-THRESHOLD = 6.0  # standard deviations of the matched-filter image
 MOST_BESIDE = 1.5  # px: farther from its aperture a displacement is not linear in its light
 BLOCKS = 10  # time blocks: motion and shape are followed from block to block
 
@@ -32,7 +38,6 @@ class Spots:
     """
 
     positions_px: Array
-    significance: Array
     path_px: Array
     light: Array
     isolated: NDArray[np.bool_]
@@ -61,57 +66,36 @@ def block_of_frame(n_frames: int, n_blocks: int) -> NDArray[np.int64]:
     return np.minimum(np.arange(n_frames) * n_blocks // n_frames, n_blocks - 1)
 
 
-def find_spots(blocks: NDArray[np.float32], sigma_px: float) -> tuple[Array, Array, Array]:
-    """Common path (block, 2), positions (molecule, 2) and their significance, from block means (block, y, x)."""
-    filtered = _matched(blocks, sigma_px)
-    path = common_path(filtered)
-    aligned = np.stack([ndimage.shift(f, -s, order=1, mode="nearest") for f, s in zip(filtered, path, strict=True)])
-    noise = np.median(np.abs(np.diff(aligned, axis=0))) / 0.6745 / np.sqrt(2) + 1e-9
-    # Bright for the whole movie, for a half, or for one block: whichever shows the spot best.
-    n = len(aligned)
-    half = n // 2
-    scales = [aligned.mean(0) * np.sqrt(n), aligned[:half].mean(0) * np.sqrt(half)]
-    scales += [aligned[half:].mean(0) * np.sqrt(n - half), aligned.max(0)]
-    evidence = np.max(scales, axis=0) / noise
-    top = ndimage.maximum_filter(evidence, size=2 * int(np.ceil(1.5 * sigma_px)) + 1)
-    y, x = np.nonzero((evidence == top) & (evidence > THRESHOLD))
-    positions = _refine(evidence, y, x)
-    return path, positions, evidence[y, x]
+def find_and_follow(movie: NDArray[np.uint16], camera: Camera, scale: float, sigma_px: float) -> Spots:
+    """The spots of a movie (frame, y, x) ADU, found as for traces and followed; `scale` is photoelectrons per ADU.
 
-
-def common_path(images: NDArray[np.float32], reach_px: float = 12.0) -> Array:
-    """(block, 2) motion of the whole field by cross-correlation of each block with the mean of the ones before."""
-    shape = images.shape[1:]
-    padded = [fft.next_fast_len(n + int(reach_px)) for n in shape]
-    path = np.zeros((len(images), 2))
-    reference = fft.rfft2(images[0] - images[0].mean(), padded)
-    for b in range(1, len(images)):
-        image = fft.rfft2(images[b] - images[b].mean(), padded)
-        correlation = np.fft.fftshift(fft.irfft2(image * np.conj(reference), padded))
-        cy, cx = (n // 2 for n in padded)
-        r = int(reach_px)
-        window = correlation[cy - r : cy + r + 1, cx - r : cx + r + 1]
-        peak = np.unravel_index(np.argmax(window), window.shape)
-        if min(peak) < 1 or max(peak) > 2 * r - 1:
-            path[b] = path[b - 1]
-            continue
-        path[b] = _parabola(window, int(peak[0]), int(peak[1])) - r
-        undo = _phase(path[b], padded)
-        reference = reference * (b / (b + 1)) + image * undo / (b + 1)
-    path -= path[0]
-    return path
+    The field's motion is undone where it is more than noise: in a field at rest the positions are those that
+    `extract_traces` starts from.
+    """
+    n_frames = len(movie)
+    frames = Frames(movie, camera)
+    edges = np.linspace(0, n_frames, min(BLOCKS, n_frames) + 1).round().astype(int)
+    blocks = block_means(movie, edges)
+    path = common_path(spot_filter(frames.flat(blocks), sigma_px))
+    moves = np.hypot(*path.T).max() > SEEN_PX
+    motion = between(path, (edges[1:] + edges[:-1] - 1) / 2, n_frames) if moves else None
+    found = find_spots(frames, sigma_px, drift_px=motion)
+    return follow(movie, blocks, camera.baseline_adu, scale, sigma_px, path, found)
 
 
 def follow(
     movie: NDArray[np.uint16], blocks: NDArray[np.float32], baseline_adu: float, scale: float, sigma_px: float,
-    path: Array, positions: Array, significance: Array,
+    path: Array, found: Found,
 ) -> Spots:  # fmt: skip
-    """Measure every spot in every frame; `scale` turns ADU into photoelectrons."""
-    n_frames, height, width = movie.shape
-    from napari_mufasa.observe.kernels import amplitudes
+    """Measure every spot found in every frame of a movie; `scale` turns ADU into photoelectrons.
 
-    n = len(positions)
-    if n == 0:
+    blocks (block, y, x) : means of the movie's time blocks; path (block, 2) : common motion, zero at the first
+    """
+    from napari_mufasa.spots.kernels import amplitudes
+
+    n_frames, height, width = movie.shape
+    positions = found.positions_px
+    if len(positions) == 0:
         return _nothing(path, n_frames, len(blocks))
     half = max(3, int(np.ceil(3 * sigma_px)))
     at = positions[:, None] + path[None]  # (molecule, block, 2)
@@ -131,10 +115,9 @@ def follow(
         moved = np.where(bright[..., None], terms[:, :, 1:3] / amplitude[..., None], np.nan)
     return Spots(
         positions_px=positions,
-        significance=significance,
         path_px=path,
         light=values[:, :, 0],
-        isolated=_isolated(positions, 5 * sigma_px),
+        isolated=neighbour_px(positions, found.is_spot) >= isolation_px(sigma_px),
         inside=inside,
         displacement_px=np.clip(moved, -3, 3),
         amplitude=amplitude,
@@ -147,52 +130,9 @@ def follow(
 def _nothing(path: Array, n_frames: int, n_blocks: int) -> Spots:
     none = np.zeros(0, dtype=bool)
     return Spots(
-        np.zeros((0, 2)), np.zeros(0), path, np.zeros((0, n_frames)), none, none, np.zeros((0, n_blocks, 2)),
+        np.zeros((0, 2)), path, np.zeros((0, n_frames)), none, none, np.zeros((0, n_blocks, 2)),
         np.zeros((0, n_blocks)), np.zeros((0, n_blocks, 3)), np.zeros((0, n_blocks)), np.zeros((n_frames, 0, 2)),
     )  # fmt: skip
-
-
-def _matched(images: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
-    narrow = ndimage.gaussian_filter(images, (0, sigma_px, sigma_px), truncate=3)
-    wide = ndimage.gaussian_filter(images, (0, 2.5 * sigma_px, 2.5 * sigma_px), truncate=2)
-    result: NDArray[np.float32] = narrow - wide
-    return result
-
-
-def _refine(image: NDArray[np.floating[Any]], y: NDArray[np.int64], x: NDArray[np.int64]) -> Array:
-    padded = np.pad(image, 1, mode="edge")
-    result = np.empty((len(y), 2))
-    for i, (r, c) in enumerate(zip(y, x, strict=True)):
-        result[i] = _parabola(padded, int(r) + 1, int(c) + 1) - 1
-    return result
-
-
-def _parabola(image: NDArray[np.floating[Any]], r: int, c: int) -> Array:
-    """Sub-pixel peak by a parabola along each axis."""
-
-    def vertex(low: float, mid: float, high: float) -> float:
-        bend = low - 2 * mid + high
-        return 0.0 if bend >= 0 else float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
-
-    dy = vertex(image[r - 1, c], image[r, c], image[r + 1, c])
-    dx = vertex(image[r, c - 1], image[r, c], image[r, c + 1])
-    return np.array([r + dy, c + dx])
-
-
-def _phase(shift: Array, shape: list[int]) -> NDArray[np.complex128]:
-    ky, kx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
-    result: NDArray[np.complex128] = np.exp(2j * np.pi * (ky * shift[0] + kx * shift[1]))
-    return result
-
-
-def _isolated(positions: Array, distance: float) -> NDArray[np.bool_]:
-    from scipy.spatial import KDTree
-
-    if len(positions) < 2:
-        return np.ones(len(positions), dtype=bool)
-    nearest = KDTree(positions).query(positions, k=2)[0][:, 1]
-    result: NDArray[np.bool_] = nearest > distance
-    return result
 
 
 def _weights(centre: Array, size: int, sigma_px: float) -> Array:

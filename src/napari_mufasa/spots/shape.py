@@ -12,7 +12,7 @@ from napari_mufasa.spots.aperture import Aperture
 
 
 @dataclass(frozen=True)
-class Spots:
+class Shapes:
     """shift_px : (spot, 2) refined minus given position; sigma_px : (spot, 2) narrow and wide axis."""
 
     shift_px: NDArray[np.float64]
@@ -52,7 +52,7 @@ class LitImages:
         self.offsets += weight[:, None, None] * opening.window_offset
         self.inside &= opening.inside
 
-    def measure(self, sigma_px: float, iterations: int = 12) -> Spots:
+    def measure(self, sigma_px: float, iterations: int = 12) -> Shapes:
         """Position and width by moments under a Gaussian window of the PSF's width that follows the spot.
 
         With window and spot of the same width the windowed centroid moves half way to the spot's centre, so
@@ -76,4 +76,4 @@ class LitImages:
         inverse = 1 / eigen - 1 / sigma_px**2
         # Pixels add 1/12 to the variance of the recorded spot; sigma_px is that of the PSF itself.
         variance = np.where(inverse > 0.02, 1 / np.maximum(inverse, 0.02), 50.0) - 1 / 12
-        return Spots(shift, np.sqrt(np.clip(variance, 0.01, None)))
+        return Shapes(shift, np.sqrt(np.clip(variance, 0.01, None)))

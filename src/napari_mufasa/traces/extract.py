@@ -14,8 +14,9 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.optics.gaussian import mean_peak_share
 from napari_mufasa.simulate.layout import check_positions
 from napari_mufasa.spots import aperture, drift, find
-from napari_mufasa.spots.shape import LitImages, Spots
+from napari_mufasa.spots.shape import LitImages, Shapes
 from napari_mufasa.traces import select
+from napari_mufasa.traces.dynamics import dynamics
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +63,7 @@ class Options(select.Choice):
         if self.border_px is None:
             shared["border_px"] = max(1.0, sigma_px)
         if self.isolation_px is None:
-            shared["isolation_px"] = max(3.0, 3.5 * sigma_px)
+            shared["isolation_px"] = find.isolation_px(sigma_px)
         return select.Rules(**shared)
 
 
@@ -150,6 +151,9 @@ def extract_traces(
     """
     options = _options(options, changes)
     frames = Frames(movie, camera, dark, unit)
+    if options.window is not None and not 1 <= options.window <= frames.n_frames:
+        raise MufasaError(f"window = {options.window} frames; the movie has {frames.n_frames}: give 1 … that")
+    frames.check_light()
     passes = (2 if positions_px is None else 1) + (1 if options.follow_drift else 0)
     report = _counter(progress, passes * frames.n_frames)
     sigma = options.psf_sigma_px or (find.estimate_sigma_px(frames) or 1.3)
@@ -157,11 +161,12 @@ def extract_traces(
 
     notes: list[str] = []
     if positions_px is None:
-        image, early, late = find.significance(
-            frames, sigma, block=options.time_block, drift_px=motion, report=report, cancel=cancel
-        )
-        found, strength, _ = find.candidates(image, sigma, method=options.threshold, value=options.threshold_value)
-        outstanding = find.prominence(image, found, sigma)
+        seen = find.find_spots(
+            frames, sigma, threshold=options.threshold, value=options.threshold_value, block=options.time_block,
+            drift_px=motion, report=report, cancel=cancel,
+        )  # fmt: skip
+        found, strength, outstanding = seen.positions_px, seen.significance, seen.prominence
+        early, late = seen.evidence.early, seen.evidence.late
         moved = drift.moved_px(early, late) if motion is None and len(found) >= MIN_SPOTS_FOR_DRIFT else 0.0
         if moved > DRIFT_PX:
             notes.append(
@@ -171,14 +176,12 @@ def extract_traces(
     else:
         found = check_positions(positions_px)
         strength = outstanding = np.full(len(found), np.nan)
-    if options.position not in ("fit", "brightest_pixel"):
-        raise MufasaError(f"position {options.position!r} is unknown: choose 'fit' or 'brightest_pixel'")
     if options.position == "brightest_pixel" and positions_px is None:
         found = np.rint(found)
 
     measured = _measure(frames, found, sigma, options, motion, report, cancel)
     refine = options.position == "fit" and positions_px is None
-    positions = found + (measured.spots.shift_px if refine else 0.0)
+    positions = found + (measured.shapes.shift_px if refine else 0.0)
     table, lit = _describe(measured, positions, strength, outstanding, options, frames)
     select.judge(table, options.rules(sigma), frames.shape, sigma)
     return TraceSet(
@@ -201,7 +204,7 @@ def extract_traces(
 class _Measured:
     traces: NDArray[np.float32]
     background: NDArray[np.float32]
-    spots: Spots
+    shapes: Shapes
     noise_e: float
     mean_e: float
 
@@ -244,11 +247,9 @@ def _describe(
     traces = measured.traces
     if not options.subtract_background:  # levels are above the background; steps do not care about it
         traces = traces - np.median(measured.background, axis=1, keepdims=True)
-    dyn = select.dynamics(traces, options.step_false_alarm)
+    dyn = dynamics(traces, options.step_false_alarm)
     window_start = np.full(len(positions), -1)
     if options.window is not None:
-        if not 1 <= options.window <= frames.n_frames:
-            raise MufasaError(f"window = {options.window} frames; the movie has {frames.n_frames}: give 1 … that")
         window_start = select.windows(dyn, options.window)
     table = pd.DataFrame(
         {
@@ -264,9 +265,9 @@ def _describe(
             "n_blinks": dyn.n_blinks,
             "lit_frames": dyn.lit.sum(axis=1),
             "window_start": window_start,
-            "neighbour_px": _nearest(positions, ~(outstanding < select.LEAST_PROMINENCE)),
-            "sigma_minor_px": measured.spots.sigma_px[:, 0],
-            "sigma_major_px": measured.spots.sigma_px[:, 1],
+            "neighbour_px": find.neighbour_px(positions, ~(outstanding < find.LEAST_PROMINENCE)),
+            "sigma_minor_px": measured.shapes.sigma_px[:, 0],
+            "sigma_major_px": measured.shapes.sigma_px[:, 1],
             "significance": strength,
             "prominence": outstanding,
             "background_e": measured.background.mean(axis=1) if measured.background.size else 0.0,
@@ -288,16 +289,6 @@ def _kept_traces(traces: NDArray[np.float32], table: pd.DataFrame, window: int |
         if len(kept)
         else (np.empty((0, window), np.float32))
     )
-
-
-def _nearest(positions: NDArray[np.float64], spots: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Distance from each candidate to the nearest other one that is a spot."""
-    from scipy.spatial import cKDTree
-
-    if spots.sum() < 2:
-        return np.full(len(positions), np.inf)
-    distance = cKDTree(positions[spots]).query(positions, k=2)[0]
-    return np.asarray(np.where(spots, distance[:, 1], distance[:, 0]), dtype=float)
 
 
 def _inside(positions: NDArray[np.float64], roi: Any, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
@@ -336,6 +327,9 @@ def _options(options: Options | None, changes: dict[str, Any]) -> Options:
     chosen = replace(options or Options(), **changes)
     if chosen.profile not in ("psf", "sum", "brightest_pixel"):
         raise MufasaError(f"profile {chosen.profile!r} is unknown: choose 'psf', 'sum' or 'brightest_pixel'")
+    if chosen.position not in ("fit", "brightest_pixel"):
+        raise MufasaError(f"position {chosen.position!r} is unknown: choose 'fit' or 'brightest_pixel'")
+    find.check_threshold(chosen.threshold, chosen.threshold_value)
     if chosen.psf_sigma_px is not None and not 0.3 <= chosen.psf_sigma_px <= 50:
         raise MufasaError(f"psf_sigma_px = {chosen.psf_sigma_px}: the PSF sd in pixels must lie in 0.3 … 50")
     for name in ("window", "best"):

@@ -8,84 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.traces.steps import Steps, idealise
+from napari_mufasa.spots.find import LEAST_PROMINENCE
+from napari_mufasa.traces.dynamics import Dynamics
 
 if TYPE_CHECKING:
     import pandas as pd
-
-LIT = 0.3  # a frame is lit where the idealised trace is above this share of the on level (one of three molecules)
-ON = 0.5  # segments above this share of the highest one make up the on level
-LEAST_PROMINENCE = 0.2  # of a peak in every direction; isolated spots have 0.3 … 0.7, edges 0.1 ± 0.06
-STEP = 0.3  # a drop counts as a bleaching step when it takes this share of the first level
-
-
-@dataclass(frozen=True)
-class Dynamics:
-    """What a trace shows, one entry per trace; frames are indices, -1 where there is none.
-
-    on_level, noise, snr : photoelectrons; noise is the sd per frame while lit; snr their ratio
-    lit : (trace, frame) whether the idealised trace is on
-    bleaching_frame : first frame after which the trace stays dark until the end
-    n_steps : bleaching steps (drops of the level that are never recovered)
-    n_blinks : dark intervals followed by light
-    """
-
-    on_level: NDArray[np.float64]
-    noise: NDArray[np.float64]
-    snr: NDArray[np.float64]
-    lit: NDArray[np.bool_]
-    bleaching_frame: NDArray[np.int64]
-    n_steps: NDArray[np.int64]
-    n_blinks: NDArray[np.int64]
-
-
-def dynamics(traces: NDArray[np.floating], false_alarm_rate: float = 0.01) -> Dynamics:
-    """Levels, steps and bleaching of background-subtracted traces (trace, frame)."""
-    n, n_frames = traces.shape
-    steps = idealise(traces, false_alarm_rate)
-    on_level, noise = np.zeros(n), np.zeros(n)
-    lit = np.zeros((n, n_frames), dtype=bool)
-    bleaching, n_steps, n_blinks = np.full(n, -1), np.zeros(n, np.int64), np.zeros(n, np.int64)
-    for i, step in enumerate(steps):
-        ideal = step.idealised
-        noise[i] = _noise(traces[i], ideal)
-        on_level[i] = _on_level(step, traces[i])
-        lit[i] = (ideal > LIT * on_level[i]) & (ideal > noise[i] / np.sqrt(n_frames))
-        if lit[i].any():
-            last = int(np.flatnonzero(lit[i])[-1])
-            if last < n_frames - 1:
-                bleaching[i] = last + 1
-            n_blinks[i] = np.count_nonzero(np.diff(lit[i].astype(np.int8)) == 1) - (not lit[i, : last + 1][0])
-            n_steps[i] = _bleaching_steps(step, on_level[i])
-    snr = np.divide(on_level, noise, out=np.zeros(n), where=noise > 0)
-    return Dynamics(on_level, noise, snr, lit, bleaching.astype(np.int64), n_steps, n_blinks)
-
-
-def _noise(trace: NDArray[np.floating], ideal: NDArray[np.float64]) -> float:
-    """Sd per frame about the steps (robust against steps missed)."""
-    return float(np.std(trace - ideal))
-
-
-def _on_level(step: Steps, trace: NDArray[np.floating]) -> float:
-    """Mean level of the lit segments: those above half of the highest well-supported one."""
-    lengths = np.diff(np.append(step.starts, step.n_frames))
-    long = lengths >= min(5, lengths.max())
-    highest = float(step.levels[long].max())
-    if highest <= 0:
-        return 0.0
-    up = step.levels > ON * highest
-    return float(np.average(step.levels[up], weights=lengths[up]))
-
-
-def _bleaching_steps(step: Steps, on_level: float) -> int:
-    """Drops of the highest level still to come: blinking does not count, two molecules bleaching do."""
-    future = np.maximum.accumulate(step.levels[::-1])[::-1]
-    future = np.append(future, 0.0) if future[-1] <= LIT * on_level else future
-    levels = [future[0]]
-    for level in future[1:]:  # merge small drifts of level into one plateau
-        if levels[-1] - level > STEP * on_level:
-            levels.append(level)
-    return len(levels) - 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,175 @@
+"""How strongly each pixel speaks for a spot: a matched filter over several times (SPEC.md §6).
+
+A molecule may be lit all the time, late, or for a few frames. Each pixel's evidence is the largest
+signal-to-noise ratio of a spot-shaped signal over three time scales: short blocks, five short blocks, the
+whole movie. The noise of each scale is measured from differences of successive blocks, so that structure
+that does not move in time (uneven light, fixed patterns) is not mistaken for noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from napari_mufasa.camera.frames import Frames, Stack
+
+Image = NDArray[np.float32]
+SHORT_BLOCKS = 200  # at most this many short blocks per movie: bounds the time detection takes
+MIDDLE = 5  # short blocks in a middle block
+BACKGROUND_WIDTH = 2.0  # the filter's negative lobe is this much wider than its centre
+TILE = 16  # px; the noise is the same within a tile
+NARROW_REACH, WIDE_REACH = 3.0, 2.5  # where the two blurs end, in their own sd
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """image : evidence of a spot at each pixel, in noise sd; signal : the same with noise in time alone, which tells
+    where a spot lies; early, late : filtered means of the movie's first and last fifth; each (y, x)."""
+
+    image: Image
+    signal: Image
+    early: Image
+    late: Image
+
+
+def block_means(stack: NDArray[Any], edges: NDArray[np.integer]) -> Stack:
+    """(block, y, x) means of the frames `edges[b]` … `edges[b + 1]` − 1 of a stack (frame, y, x)."""
+    from napari_mufasa.spots import kernels
+
+    if stack.dtype not in (np.uint16, np.float32):  # each further type would be compiled for itself
+        stack = stack.astype(np.float32)
+    means: Stack = kernels.block_means(np.ascontiguousarray(stack), np.asarray(edges, dtype=np.int64))
+    return means
+
+
+def spot_filter(images: Stack, sigma_px: float) -> Stack:
+    """Zero-mean matched filter of a Gaussian spot for images (image, y, x): narrow minus wide blur.
+
+    Own loops because hundreds of images pass it in every simulation of a diagnosis: four times faster than two
+    of SciPy's `gaussian_filter` on 150 images of 96 × 96 pixels.
+    """
+    from napari_mufasa.spots import kernels
+
+    narrow, wide = _weights(sigma_px)
+    rows, columns = (np.pad(np.arange(n), len(wide) - 1, mode="symmetric") for n in images.shape[1:])
+    images = np.ascontiguousarray(images, dtype=np.float32)
+    filtered: Stack = kernels.spot_filter(images, narrow.astype(np.float32), wide.astype(np.float32), rows, columns)
+    return filtered
+
+
+def _weights(sigma_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Halves of the narrow and the wide blur's weights, centre first."""
+    halves = []
+    for sd, reach in ((sigma_px, NARROW_REACH), (BACKGROUND_WIDTH * sigma_px, WIDE_REACH)):
+        weights = np.exp(-0.5 * (np.arange(int(reach * sd + 0.5) + 1) / sd) ** 2)
+        halves.append(weights / (2 * weights.sum() - weights[0]))
+    return halves[0], halves[1]
+
+
+@cache
+def border_noise(shape_px: tuple[int, int], sigma_px: float) -> Image:
+    """(y, x) noise sd of the filter relative to the middle of the field: larger where it reflects at the border.
+
+    The filter is a difference of two separable ones, so the variance of filtered white noise is a sum of
+    products of one-dimensional sums of squared weights.
+    """
+    products = []
+    for n in shape_px:
+        narrow, wide = (
+            ndimage.correlate1d(np.eye(n), np.concatenate([half[:0:-1], half]), axis=0) for half in _weights(sigma_px)
+        )
+        products.append([(a * b).sum(axis=1) for a, b in ((narrow, narrow), (narrow, wide), (wide, wide))])
+    (yn, ym, yw), (xn, xm, xw) = products
+    variance = np.outer(yn, xn) - 2 * np.outer(ym, xm) + np.outer(yw, xw)
+    relative = variance / variance[shape_px[0] // 2, shape_px[1] // 2]
+    return np.asarray(np.sqrt(relative), dtype=np.float32)
+
+
+def search(
+    frames: Frames,
+    sigma_px: float,
+    *,
+    block: int | None = None,
+    drift_px: NDArray[np.float64] | None = None,
+    report: Callable[[int], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Evidence:
+    """Read a movie once, block by block, for the evidence of spots in it.
+
+    `block` frames make a short block (None: at most `SHORT_BLOCKS` of them). `drift_px` (frame, 2) is undone.
+    """
+    from napari_mufasa.spots import kernels
+
+    shape = frames.shape[1:]
+    block = block or max(1, -(-frames.n_frames // SHORT_BLOCKS))
+    total, steps = np.zeros(shape, np.float64), np.zeros(shape, np.float64)
+    early, late = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    shortest, middle = np.full(shape, -np.inf, np.float32), np.full(shape, -np.inf, np.float32)
+    recent = np.empty((0, *shape), np.float32)
+    n_blocks = 0
+    for start, stack in frames.counts(block, report, cancel):
+        edges = np.arange(0, len(stack) + 1, block)  # frames left over at the end make no block
+        if len(edges) < 2:
+            continue
+        means = frames.flat(block_means(stack, edges))
+        first = start + edges[:-1]
+        if drift_px is not None:
+            means = kernels.moved_back(means, np.array([drift_px[f : f + block].mean(axis=0) for f in first]))
+        filtered = spot_filter(means, sigma_px)
+        early += filtered[first < frames.n_frames / 5].sum(axis=0)
+        late += filtered[first + block > frames.n_frames * 4 / 5].sum(axis=0)
+        filtered = np.concatenate([recent, filtered])
+        kernels.take_in(filtered, len(recent), MIDDLE, total, steps, shortest, middle)
+        recent = filtered[-(MIDDLE - 1) :]
+        n_blocks += len(means)
+    whole = (total / n_blocks).astype(np.float32)
+    if n_blocks < 3:  # too short for differences in time: noise from the spread in space
+        image = (whole / max(lower_spread(whole), 1e-12)).astype(np.float32)
+        return Evidence(image, image, early, late)
+    noise = np.sqrt(_smooth_floor(steps / (2 * (n_blocks - 1)))).astype(np.float32)
+    noise *= border_noise((shape[0], shape[1]), sigma_px)
+    noise = np.maximum(noise, np.float32(1e-12))
+    best = shortest / noise
+    if n_blocks >= MIDDLE:
+        best = np.maximum(best, middle / (noise / np.float32(np.sqrt(MIDDLE))))
+    whole_noise = noise / np.float32(np.sqrt(n_blocks))
+    # Static structure that is no molecule (uneven light, fixed pattern) limits the long average.
+    limited = np.maximum(whole_noise, np.float32(lower_spread(whole)))
+    return Evidence(np.maximum(best, whole / limited), np.maximum(best, whole / whole_noise), early, late)
+
+
+def peak_offsets(image: NDArray[np.floating], peaks: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Offset (y, x) of a maximum from its pixel (peak, 2), by the parabola through it and its neighbours, at most half
+    a pixel."""
+    padded = np.pad(image.astype(float), 1, mode="edge")
+    y, x = peaks.T + 1
+    offsets = np.zeros(peaks.shape)
+    for axis, (dy, dx) in enumerate(((1, 0), (0, 1))):
+        low, mid, high = padded[y - dy, x - dx], padded[y, x], padded[y + dy, x + dx]
+        bend = low - 2 * mid + high
+        offset = np.divide(0.5 * (low - high), bend, out=np.zeros(len(peaks)), where=bend < 0)
+        offsets[:, axis] = np.clip(offset, -0.5, 0.5)
+    return offsets
+
+
+def lower_spread(image: NDArray[np.floating]) -> float:
+    """Robust sd from the lower half, which spots do not reach."""
+    low, middle = np.percentile(image, [15.87, 50])
+    return float(middle - low)
+
+
+def _smooth_floor(variance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Noise variance as a smooth map: medians over tiles, so that spots (a minority) do not count."""
+    height, width = variance.shape
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    whole = np.pad(variance, ((0, rows * TILE - height), (0, columns * TILE - width)), mode="symmetric")
+    grid = np.median(whole.reshape(rows, TILE, columns, TILE), axis=(1, 3))
+    grid = ndimage.median_filter(grid, 3, mode="nearest")
+    smooth = ndimage.zoom(grid, TILE, order=1, mode="nearest", grid_mode=True)[:height, :width]
+    return np.asarray(np.maximum(smooth, 1e-12))

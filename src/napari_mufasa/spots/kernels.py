@@ -1,0 +1,153 @@
+"""The loops over pixels that finding and following spots takes.
+
+Import this module only where spots are looked for: it needs numba. Functions of a module are compiled once for a
+machine (see `camera.kernels`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from napari_mufasa.chance.variates import vectorised
+
+
+@vectorised
+def block_means(stack, edges):  # type: ignore[no-untyped-def]
+    """(block, y, x) float32 means of the frames edges[b] … edges[b + 1] − 1 of a stack (frame, y, x)."""
+    _, height, width = stack.shape
+    n_blocks = edges.size - 1
+    result = np.zeros((n_blocks, height, width), np.float32)
+    for b in range(n_blocks):
+        share = np.float32(1.0 / max(edges[b + 1] - edges[b], 1))
+        for t in range(edges[b], edges[b + 1]):
+            for y in range(height):
+                for x in range(width):
+                    result[b, y, x] += np.float32(stack[t, y, x])
+        for y in range(height):
+            for x in range(width):
+                result[b, y, x] *= share
+    return result
+
+
+@vectorised
+def blurred(values, weights, step, out):  # type: ignore[no-untyped-def]
+    """Symmetric blur of a row of numbers by half of its weights (centre first), `step` numbers from one to the next.
+
+    The ends within (weights.size − 1) · step are left as they are.
+    """
+    margin = (weights.size - 1) * step
+    n = values.size - 2 * margin
+    inner, target = values[margin : margin + n], out[margin : margin + n]
+    for i in range(n):
+        target[i] = weights[0] * inner[i]
+    # Plain indices from 0, so that these loops become vector instructions; two weights at a time halve the stores.
+    for k in range(1, weights.size - 1, 2):
+        before, after = values[margin - k * step :], values[margin + k * step :]
+        earlier, later = values[margin - (k + 1) * step :], values[margin + (k + 1) * step :]
+        one, two = weights[k], weights[k + 1]
+        for i in range(n):
+            target[i] += one * (before[i] + after[i]) + two * (earlier[i] + later[i])
+    if weights.size % 2 == 0:
+        before, after = values[:], values[2 * margin :]
+        one = weights[weights.size - 1]
+        for i in range(n):
+            target[i] += one * (before[i] + after[i])
+
+
+@vectorised
+def spot_filter(images, narrow, wide, rows, columns):  # type: ignore[no-untyped-def]
+    """Narrow minus wide blur of images (image, y, x) float32, each by halves of symmetric weights (centre first).
+
+    rows, columns : the pixel that stands at each place of the field and of a margin of wide.size − 1 around it
+    """
+    n, height, width = images.shape
+    margin = wide.size - 1
+    result = np.empty(images.shape, np.float32)
+    shape = (rows.size, columns.size)
+    field, across = np.empty(shape, np.float32), np.zeros(shape, np.float32)
+    near, far = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    for i in range(n):
+        for y in range(rows.size):
+            line, place = images[i, rows[y]], field[y]
+            place[margin : margin + width] = line
+            for x in range(margin):
+                place[x] = line[columns[x]]
+                place[margin + width + x] = line[columns[margin + width + x]]
+        blurred(field.ravel(), narrow, 1, across.ravel())
+        blurred(across.ravel(), narrow, columns.size, near.ravel())
+        blurred(field.ravel(), wide, 1, across.ravel())
+        blurred(across.ravel(), wide, columns.size, far.ravel())
+        for y in range(height):
+            for x in range(width):
+                result[i, y, x] = near[margin + y, margin + x] - far[margin + y, margin + x]
+    return result
+
+
+@vectorised
+def take_in(filtered, known, middle_length, total, steps, shortest, middle):  # type: ignore[no-untyped-def]
+    """Take filtered images (image, y, x) into their sum, their squared steps, and the largest value of one and of the
+    mean of `middle_length` in a row; the first `known` of them were taken in before."""
+    n, height, width = filtered.shape
+    share = np.float32(1.0 / middle_length)
+    run = np.empty(width, np.float32)
+    for i in range(known, n):
+        for y in range(height):
+            for x in range(width):
+                v = filtered[i, y, x]
+                total[y, x] += v
+                shortest[y, x] = max(shortest[y, x], v)
+            if i > 0:
+                for x in range(width):
+                    step = filtered[i, y, x] - filtered[i - 1, y, x]
+                    steps[y, x] += step * step
+            if i + 1 >= middle_length:
+                run[:] = 0.0
+                for j in range(i + 1 - middle_length, i + 1):
+                    for x in range(width):
+                        run[x] += filtered[j, y, x]
+                for x in range(width):
+                    middle[y, x] = max(middle[y, x], run[x] * share)
+
+
+@vectorised
+def moved_back(images, shifts):  # type: ignore[no-untyped-def]
+    """Images (image, y, x) float32 with shifts (image, 2) undone, interpolated; the edge goes on outside the field."""
+    n, height, width = images.shape
+    result = np.empty(images.shape, np.float32)
+    for i in range(n):
+        whole_y, whole_x = np.floor(shifts[i, 0]), np.floor(shifts[i, 1])
+        fy, fx = np.float32(shifts[i, 0] - whole_y), np.float32(shifts[i, 1] - whole_x)
+        one = np.float32(1.0)
+        for y in range(height):
+            y0 = min(max(y + int(whole_y), 0), height - 1)
+            y1 = min(max(y + int(whole_y) + 1, 0), height - 1)
+            for x in range(width):
+                x0 = min(max(x + int(whole_x), 0), width - 1)
+                x1 = min(max(x + int(whole_x) + 1, 0), width - 1)
+                upper = (one - fx) * images[i, y0, x0] + fx * images[i, y0, x1]
+                lower = (one - fx) * images[i, y1, x0] + fx * images[i, y1, x1]
+                result[i, y, x] = (one - fy) * upper + fy * lower
+    return result
+
+
+@vectorised
+def amplitudes(movie, baseline, corner, weights, block_of):  # type: ignore[no-untyped-def]
+    """Weighted sums (molecule, frame, term) of the counts in each spot's window."""
+    n_molecules, n_blocks, n_terms, size, _ = weights.shape
+    n_frames = movie.shape[0]
+    rows = weights.reshape(n_molecules, n_blocks, n_terms, size * size)
+    result = np.zeros((n_molecules, n_frames, n_terms))
+    values = np.empty(size * size)
+    for m in range(n_molecules):
+        for t in range(n_frames):
+            b = block_of[t]
+            y0, x0 = corner[m, b, 0], corner[m, b, 1]
+            for i in range(size):
+                for j in range(size):
+                    values[i * size + j] = movie[t, y0 + i, x0 + j] - baseline
+            for k in range(n_terms):
+                total = 0.0
+                for p in range(size * size):
+                    total += rows[m, b, k, p] * values[p]
+                result[m, t, k] = total
+    return result

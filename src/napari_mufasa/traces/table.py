@@ -1,0 +1,46 @@
+"""Extracted traces as the tables that users get: traces.csv and molecules.csv, by the columns of SPEC.md §10."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from napari_mufasa.files.traces import Unit, hdf5_file, tidy
+from napari_mufasa.files.whole import PathLike, write_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from napari_mufasa.traces.extract import TraceSet
+
+
+def trace_table(traces: TraceSet) -> pd.DataFrame:
+    """The kept traces, tidy (molecule, frame, photoelectrons); frames count from the movie's first."""
+    kept = traces.molecules[traces.kept]
+    table = tidy(traces.traces, cast(Unit, traces.units), kept["molecule"].to_numpy())
+    if traces.options.window is not None:
+        # A molecule kept by hand may have no window of its own: its last frames are shown then (see `TraceSet`).
+        last = traces.all_traces.shape[1] - traces.options.window
+        start = kept["window_start"].to_numpy()
+        table["frame"] += np.repeat(np.where(start < 0, last, start), traces.traces.shape[1])
+    return table
+
+
+def write_traces(directory: PathLike, traces: TraceSet, *, hdf5: bool = False) -> None:
+    """traces.csv with the kept traces and molecules.csv with every candidate and its reason; with `hdf5` traces.h5.
+
+    traces.h5 holds the kept traces (``traces``, ``molecule``), the table's columns in the group ``molecules`` and
+    every candidate's whole trace in ``all_traces``.
+    """
+    write_table(Path(directory) / "traces.csv", trace_table(traces))
+    write_table(Path(directory) / "molecules.csv", traces.molecules)
+    if not hdf5:
+        return
+    kept = traces.molecules["molecule"].to_numpy()[traces.kept]
+    with hdf5_file(Path(directory) / "traces.h5", traces.traces, cast(Unit, traces.units), kept) as file:
+        file.create_dataset("all_traces", data=traces.all_traces, compression="gzip")
+        for name, column in traces.molecules.items():
+            values = column.to_numpy()
+            file[f"molecules/{name}"] = values.astype(bytes) if values.dtype == object else values
