@@ -203,6 +203,8 @@ def napari_alone(viewer, heart) -> None:
 
 
 def story(viewer, workflow, path, heart, prefix, slow_cancels) -> None:
+    from napari_mufasa.widgets.turns.live import live_of
+
     def press(panel, name, longest=LONGEST_S) -> bool:
         """Press Run; cancel what takes too long, and see that the panel is free at once."""
         longest = longest if prefix.startswith("large") else max(longest, 60)
@@ -241,10 +243,10 @@ def story(viewer, workflow, path, heart, prefix, slow_cancels) -> None:
             show(number)
     show(2)
     press(workflow.step("Denoise"), "denoise")
-    workflow.step("Denoise").method.setCurrentIndex(3)
+    workflow.step("Denoise").form.method.value = "source"
     if viewer.layers[0].data.shape[0] < 500:  # the result is a movie in memory
         press(workflow.step("Denoise"), "camera's inverse")
-    workflow.step("Denoise").method.setCurrentIndex(0)
+    workflow.step("Denoise").form.method.value = "pure-let-movie"
     show(3)
     molecules = workflow.step("Molecules")
     if press(molecules, "extract traces", 4 * LONGEST_S):
@@ -254,12 +256,12 @@ def story(viewer, workflow, path, heart, prefix, slow_cancels) -> None:
                 rest(0.4)
     show(4)
     with heart.during(prefix + "edit the model"):
-        power = workflow.step("Model").parts["excitation"].form.editors["power_density_w_per_cm2"]
+        power = workflow.step("Model").parts["excitation"].form["power_density_w_per_cm2"].native
         for watts in ("31", "33", "30"):
             power.setText(watts)
             power.editingFinished.emit()
             rest(0.3)
-        wait_for(lambda: not workflow.session.live.busy, 30)
+        wait_for(lambda: not live_of(workflow.session).busy, 30)
     show(5)
     compare = workflow.step("Compare")
     if press(compare, "compare"):

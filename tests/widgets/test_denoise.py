@@ -49,18 +49,18 @@ def test_denoise_camera_presets_and_residual(with_movie, open_panel, run, bright
     from napari_mufasa.widgets.steps.denoise import CAMERAS
 
     panel = open_panel(DenoisePanel, with_movie)
-    panel.residual.setChecked(True)
-    panel.method.setCurrentIndex(1)
+    panel.form.residual.value = True
+    panel.form.method.value = "pure-let"
     run(panel)
     after, taken = with_movie.layers["bright, photons"].data, with_movie.layers["bright, taken away"].data
     before = cam.photons(cam.photoelectrons(bright_movie.movie, bright_model.camera), bright_model.camera)
     np.testing.assert_allclose(np.asarray(taken[7]), (before - after)[7], atol=1e-4)
-    panel.preset.setCurrentText("sCMOS, linear")
-    panel.preset.activated.emit(panel.preset.currentIndex())
+    panel.preset.native.setCurrentText("sCMOS, linear")
+    panel.preset.native.activated.emit(panel.preset.native.currentIndex())
     camera = session_of(with_movie).model.camera
     assert camera.type == "CMOS"
     assert camera.read_noise_e == CAMERAS["sCMOS, linear"]["read_noise_e"]
-    assert panel.excess.isHidden()
+    assert panel.form.excess_noise.native.isHidden()
 
 
 def test_large_results_are_written_to_disk_and_read_when_looked_at(with_movie, open_panel, run, monkeypatch):

@@ -240,19 +240,6 @@ def test_work_steps_back_for_the_interface_and_so_do_its_threads(bar, qtbot):
     assert min(found[0]) > before == priority()
 
 
-def test_what_lives_when_a_run_starts_is_set_aside_until_a_layer_goes(with_movie, qtbot):
-    panel = MoleculesPanel(with_movie)
-    with_movie.window.add_dock_widget(panel)
-    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
-        panel.run_bar.start("Working", lambda progress, cancel: 1, lambda value: None)
-    assert gc.get_freeze_count() > 0
-    with_movie.layers.clear()
-    assert gc.get_freeze_count() == 0
-    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
-        panel.run_bar.start("Failing", lambda progress, cancel: 1 / 0, lambda value: None)
-    assert gc.get_freeze_count() == 0
-
-
 def test_layer_deleted_mid_run_does_not_matter(with_movie, qtbot, bright_movie):
     panel = DenoisePanel(with_movie)
     with_movie.window.add_dock_widget(panel)

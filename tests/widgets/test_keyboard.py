@@ -82,9 +82,10 @@ def test_keys_change_the_step_and_run_it(workflow, qtbot):
     qtbot.keyClick(workflow.buttons.button(0), Qt.Key.Key_4, Qt.KeyboardModifier.AltModifier)
     assert STEPS[workflow.stack.currentIndex()] == "Molecules"
     panel = workflow.step("Molecules")
-    panel.threshold.setFocus()
+    threshold = panel.form.threshold_sigma.native
+    threshold.setFocus()
     with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
-        qtbot.keyClick(panel.threshold, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
+        qtbot.keyClick(threshold, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
     assert panel.traces is not None
-    qtbot.keyClick(panel.threshold, Qt.Key.Key_Right, Qt.KeyboardModifier.AltModifier)
+    qtbot.keyClick(threshold, Qt.Key.Key_Right, Qt.KeyboardModifier.AltModifier)
     assert STEPS[workflow.stack.currentIndex()] == "Model"

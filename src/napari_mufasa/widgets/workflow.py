@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from qtpy.QtCore import QSize, Qt
@@ -105,22 +106,17 @@ class WorkflowWidget(QWidget):
         self.next_button.setEnabled(index < len(STEPS) - 1)
 
 
+HOMES = {
+    "Data": "data:DataPanel", "Camera": "calibrate:CameraPanel", "Denoise": "denoise:DenoisePanel",
+    "Molecules": "traces:MoleculesPanel", "Model": "model:ModelPanel", "Compare": "compare:ComparePanel",
+    "Discover": "discover:DiscoverPanel", "Simulate": "simulate:SimulatePanel", "Design": "design:DesignPanel",
+}  # fmt: skip
+
+
 def panel_class(name: str) -> Any:
     """The panel of a step; imported when it is shown."""
-    from importlib import import_module
-
-    homes = {
-        "Data": ("data", "DataPanel"),
-        "Camera": ("data", "CameraPanel"),
-        "Simulate": ("simulate", "SimulatePanel"),
-        "Denoise": ("denoise", "DenoisePanel"),
-        "Molecules": ("traces", "MoleculesPanel"),
-        "Model": ("model", "ModelPanel"),
-        "Compare": ("compare", "ComparePanel"),
-        "Discover": ("discover", "DiscoverPanel"),
-    }
-    module, name = homes[name]
-    return getattr(import_module(f"napari_mufasa.widgets.steps.{module}"), name)
+    module, _, kind = HOMES[name].partition(":")
+    return getattr(import_module(f"napari_mufasa.widgets.steps.{module}"), kind)
 
 
 def scrolled(panel: QWidget) -> QScrollArea:
@@ -176,3 +172,11 @@ class CompareWidget(_Single):
 
 class DiscoverWidget(_Single):
     step_name = "Discover"
+
+
+class CalibrateWidget(_Single):
+    step_name = "Camera"
+
+
+class DesignWidget(_Single):
+    step_name = "Design"

@@ -11,7 +11,8 @@ from qtpy.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QSlider, QVBoxLayout,
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.movies import METADATA_KEY
-from napari_mufasa.widgets.parts.layers import PLACE, like
+from napari_mufasa.widgets.parts.edits import PLACE
+from napari_mufasa.widgets.parts.layers import like
 from napari_mufasa.widgets.turns.gently import NEXT_TURN_MS, gently
 from napari_mufasa.widgets.turns.jobs import report_error
 from napari_mufasa.widgets.turns.latest import Latest

@@ -27,6 +27,17 @@ Draw = Callable[[Any], Any]
 _DRAWING = threading.Lock()
 
 
+def drawing(name: str, *args: Any, whole: bool = False) -> Draw:
+    """A function of `napari_mufasa.report.plots` on these values, for one pair of axes or the whole figure."""
+
+    def draw(figure: Any) -> None:
+        from napari_mufasa.report import plots as plotting
+
+        getattr(plotting, name)(figure if whole else figure.subplots(), *args)
+
+    return draw
+
+
 class Picture(QWidget):
     """The last picture drawn, scaled to the room there is until the next one comes."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import queue
 import threading
 from collections.abc import Callable, Generator
@@ -108,7 +107,6 @@ class RunBar(QWidget):
         self._breath.timeout.connect(self._go_on)
         self._done: Callable[[Any], Any] | None = None
         self._outcome: Outcome | None = None
-        self.destroyed.connect(gc.unfreeze)
         self._show_running(False)
 
     @property
@@ -133,7 +131,6 @@ class RunBar(QWidget):
         worker.finished.connect(self._on_finished)
         # A closed dock must not leave work behind.
         self.destroyed.connect(worker.quit)
-        gc.freeze()
         self.say(f"{title} …")
         self._show_running(True)
         worker.start()
@@ -179,7 +176,6 @@ class RunBar(QWidget):
             self._rest = _in_turns(done, outcome.value)
             self._breath.start()  # napari's own end of a run comes first
             return
-        gc.unfreeze()  # what a run leaves that did not end well is to be collected
         self._end()
 
     def _go_on(self) -> None:

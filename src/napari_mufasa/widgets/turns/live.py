@@ -9,13 +9,18 @@ from qtpy.QtWidgets import QLabel
 
 from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.turns.latest import Latest
+from napari_mufasa.widgets.turns.session import Session
 
 if TYPE_CHECKING:
     from napari_mufasa.compare.quick import QuickDistance
-    from napari_mufasa.widgets.turns.session import Session
 
 WAIT_MS = 250
 NOT_YET = "Distance to the measurement: extract traces (step Molecules) or compare once to see it live."
+
+
+def live_of(session: Session) -> LiveDistance:
+    """The one live distance of a session, made when it is first asked for."""
+    return session.findChild(LiveDistance) or LiveDistance(session)
 
 
 class LiveDistance(QObject):
@@ -115,7 +120,7 @@ class LiveLine(QLabel):
 
     def __init__(self, session: Session) -> None:
         super().__init__()
-        self.live = session.live
+        self.live = live_of(session)
         self.setWordWrap(True)
         self.setToolTip(
             "From about 64 simulated molecules and some frames of the movie, for the eye while a value is changed. "
