@@ -67,7 +67,7 @@ def step_form(
     """
     # magicgui does not look for the names of annotations in the function's own module.
     function.__annotations__ = typing.get_type_hints(function, include_extras=True)
-    form: FunctionGui[..., Any] = FunctionGui(function, call_button=call_button or None, auto_call=False)
+    form: FunctionGui[..., Any] = FunctionGui(function, call_button=call_button, auto_call=False)
     for name, setting in (preferences or {}).items():
         form[name].value = preference(setting)
     dress(form)
@@ -173,11 +173,12 @@ def bounds_of(field: FieldInfo) -> str:
 
 # looks ------------------------------------------------------------------------------------------------
 def dress(form: Container[Any]) -> None:
-    """What magicgui leaves to others: names for screen readers, combo boxes that fit a narrow dock."""
+    """What magicgui leaves to others: labels in a column, names for screen readers, narrow combo boxes."""
     form.margins = (4, 2, 4, 4)
     form.native.layout().setSpacing(3)
     for widget in form:
         dress_one(widget)
+        widget.label = widget.label  # all labels of a form become as wide as the widest
 
 
 def dress_one(widget: Any) -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 from magicgui.types import Undefined
 from magicgui.widgets import ComboBox, Container, PushButton
 from magicgui.widgets.bases import ValuedContainerWidget
-from qtpy.QtWidgets import QFileDialog, QLabel
+from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.presets import PRESETS
@@ -31,6 +31,7 @@ class ModelEdit(ValuedContainerWidget[Any]):
         self.session = Session()
         self.source: Any = ComboBox(choices=[FROM_LAYER, *PRESETS, FROM_FILE], tooltip="Where the model comes from")
         self.save_button = PushButton(text="Save …", tooltip="Write the model as model.json")
+        self.save_button.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
         self.origin = QLabel()
         self.origin.setWordWrap(True)
         row = Container(widgets=[self.source, self.save_button], layout="horizontal", labels=False)

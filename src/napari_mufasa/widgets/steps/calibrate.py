@@ -71,6 +71,7 @@ class CameraPanel(Panel):
     words = "The camera that recorded the movie. It is used in every later step."
     run_label, running = "Measure it on the movie", "Measuring the camera"
     form_factory = calibrate_widget
+    hidden = ("dark_frames", "camera_type")
 
     def build(self) -> None:
         self.source = ModelEdit()

@@ -60,7 +60,7 @@ def denoise(
     method: Annotated[
         Method,
         {
-            "label": "Method", "choices": METHODS,
+            "label": "Method", "widget_type": "ComboBox", "choices": METHODS,
             "tooltip": "The first is best on movies, the third on single frames; the others are to compare",
         },
     ] = "pure-let-movie",

@@ -43,7 +43,7 @@ def traces(
     model: Believed = None,
     profile: Annotated[
         Profile,
-        {"label": "Signal", "choices": PROFILES, "tooltip": "What is read as the molecule's signal in a frame"},
+        {"label": "Signal", "widget_type": "ComboBox", "choices": PROFILES, "tooltip": "What is read as the molecule's signal in a frame"},
     ] = "psf",
     threshold_sigma: Annotated[
         float,

@@ -13,10 +13,8 @@ from qtpy.QtCore import QObject, Qt, QTimer, Signal  # type: ignore[attr-defined
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.widgets.turns.courtesy import courteous, step_back
+from napari_mufasa.widgets.turns.steering import Cancel, Progress
 
-Progress = Callable[[int, int], None]
-Cancel = Callable[[], bool]
 Work = Callable[[Progress, Cancel], Any]
 POLL_S = 0.05
 TWENTIETHS = 20  # steps of the progress bars: napari draws its own at each
@@ -41,9 +39,7 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
 
     def run() -> None:
         try:
-            step_back()
-            with courteous():
-                outcome = Outcome(work(lambda done, total: news.put((done, total)), stop))
+            outcome = Outcome(work(lambda done, total: news.put((done, total)), stop))
         except BaseException as error:  # handed to the interface, which tells the user
             outcome = Outcome(error=error)
         news.put(outcome)
