@@ -64,7 +64,7 @@ def test_denoise_camera_presets_and_residual(with_movie, open_panel, run, bright
 
 
 def test_large_results_are_written_to_disk_and_read_when_looked_at(with_movie, open_panel, run, monkeypatch):
-    import napari_mufasa.widgets.steps.denoise as module
+    import napari_mufasa.denoise.viewing as module
 
     panel = open_panel(DenoisePanel, with_movie)
     run(panel)

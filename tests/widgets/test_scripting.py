@@ -19,8 +19,9 @@ from napari_mufasa.effects import catalogue
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.model.presets import preset
+from napari_mufasa.report.fields import bounds_of, unit_of
 from napari_mufasa.widgets.parts.edits import ListEdit, MapEdit, NumberEdit, ShapeEdit
-from napari_mufasa.widgets.parts.forms import PartForm, bounds_of, unit_of
+from napari_mufasa.widgets.parts.forms import PartForm
 
 STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "design")
 

@@ -1,15 +1,20 @@
-"""A diagnosis in words, for the Discover step. No Qt here."""
+"""Results in words, for the viewer's steps: a diagnosis, a comparison, a molecule. No Qt here."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from napari_mufasa.report.fields import number_text
 from napari_mufasa.report.words import effect_title as title_of
 
 if TYPE_CHECKING:
+    from napari_mufasa.compare import Comparison
     from napari_mufasa.discover.result import Candidate, Report
 
-__all__ = ["detectable_rows", "headline", "matching_curve", "title_of", "told", "words_of"]
+__all__ = [
+    "comparison_table", "detectable_rows", "headline", "matching_curve", "molecule_line", "title_of", "told",
+    "words_of",
+]  # fmt: skip
 
 
 def words_of(candidate: Candidate) -> str:
@@ -77,3 +82,30 @@ def detectable_rows(report: Report) -> list[tuple[str, str, str, str]]:
             words = f"{label} {strength:.2g} {unit}".strip()
         rows.append((kind, title_of(kind), words, effect.what_it_does if effect is not None else ""))
     return rows
+
+
+def comparison_table(comparison: Comparison) -> str:
+    """Every model's distance to the measurement with its interval, and the floor, as HTML."""
+    from napari_mufasa.report.plots.emission import MODELS
+
+    rows = []
+    for name in ("mufasa", "fitted", "poisson", "sofi"):
+        if comparison.w1.get(name) is not None:
+            low, high = comparison.w1_interval[name]
+            words = f"{number_text(round(comparison.w1[name], 2))} ({low:.2f} … {high:.2f})"
+            rows.append(f"<tr><td>{MODELS[name]}&nbsp;&nbsp;</td><td><b>{words}</b></td></tr>")
+    floor, molecules = comparison.floor, len(comparison.samples["measured"].traces)
+    rows.append(f"<tr><td>floor</td><td>{floor.value:.2f} ({floor.low:.2f} … {floor.high:.2f})</td></tr>")
+    head = f"W1 distance in {comparison.w1['unit']}, {molecules} molecules (95 % interval)"
+    return f"{head}<table>{''.join(rows)}</table>" + "".join(f"<br>{note}" for note in comparison.notes)
+
+
+def molecule_line(row: Any) -> str:
+    """A row of a table of molecules, as HTML."""
+    verdict = "kept" if row["kept"] else f"rejected: {row['reason']}"
+    bleached = int(row["bleaching_frame"])
+    return (
+        f"<b>Molecule {row['molecule']}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · "
+        f"{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
+        f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
+    )

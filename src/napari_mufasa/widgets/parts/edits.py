@@ -10,21 +10,13 @@ from magicgui.types import Undefined
 from magicgui.widgets import ComboBox, FileEdit, LineEdit
 
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.report.fields import number_text
 from napari_mufasa.widgets.turns.session import stored
 
 if TYPE_CHECKING:
     from napari.viewer import Viewer
 
 PLACE = "where the model fails"  # role of layers that show misfit: never a movie
-
-
-def number_text(value: float | None) -> str:
-    """A number as one types it: no noise digits, powers of ten where they help."""
-    if value is None:
-        return ""
-    if isinstance(value, int) or (float(value).is_integer() and abs(value) < 1e7):
-        return str(int(value))
-    return f"{value:.6g}"
 
 
 class TypedEdit(LineEdit):

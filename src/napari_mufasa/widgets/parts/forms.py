@@ -16,39 +16,13 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from qtpy.QtWidgets import QComboBox, QLineEdit, QPushButton, QSizePolicy
 
+from napari_mufasa.report.fields import bounds_of, label_of, told
 from napari_mufasa.widgets.parts.edits import ListEdit, MapEdit, NumberEdit, ShapeEdit
 from napari_mufasa.widgets.parts.preferences import preference
 
 if TYPE_CHECKING:
     from napari.viewer import Viewer
 
-UNITS = {  # endings of names; longer ones first where one ends the other
-    "_per_M_cm": "1/(M cm)",
-    "_w_per_cm2": "W/cm²",
-    "_photons_per_px": "photons/px",
-    "_per_s": "1/s",
-    "_frames": "frames",
-    "_adu": "ADU",
-    "_e2": "(e⁻)²",
-    "_deg": "°",
-    "_nm": "nm",
-    "_px": "px",
-    "_e": "e⁻",
-    "_s": "s",
-}
-NAMED_UNITS = {"electrons_per_adu": "e⁻/ADU", "n_frames": "", "shape_px": "px"}
-LABELS = {
-    "n_frames": "Frames",
-    "n_molecules": "Molecules",
-    "shape_px": "Height × width",
-    "psf_fwhm_nm": "PSF width (FWHM)",
-    "adc_max": "Largest count",
-    "em_gain": "EM gain",
-    "electrons_per_adu": "Electrons per count",
-    "cmos_gain_curve": "CMOS gain curve",
-    "isc_ratio": "Triplet crossing α_isc",
-    "type": "Type",
-}
 EMPTY = {"frame_interval_s": "no dead time", "high_resolution_factor": "exact integrals"}
 ERROR_STYLE = "QLineEdit { border: 1px solid #e0605e; }"
 
@@ -118,9 +92,9 @@ def widget_for(name: str, field: FieldInfo, owner: type[BaseModel] | None = None
     kinds = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
     optional = type(None) in kinds
     kind: Any = next(k for k in kinds if k is not type(None))
-    unit, bounds = unit_of(name, owner), bounds_of(field)
+    bounds = bounds_of(field)
     tip = (field.description or label_of(name)) + (f"\nallowed: {bounds}" if bounds else "")
-    shared: dict[str, Any] = {"name": name, "label": f"{label_of(name)} ({unit})" if unit else label_of(name)}
+    shared: dict[str, Any] = {"name": name, "label": told(name, owner)}
     if get_origin(kind) is Literal:
         return ComboBox(choices=get_args(kind), tooltip=tip, **shared)
     if kind is bool:
@@ -137,38 +111,6 @@ def widget_for(name: str, field: FieldInfo, owner: type[BaseModel] | None = None
     if kind is typing.Any:
         return MapEdit(tooltip=tip, **shared)
     raise TypeError(f"no widget for {name}: {annotation}")
-
-
-def unit_of(name: str, owner: type[BaseModel] | None = None) -> str:
-    """The unit in a parameter's name (`psf_fwhm_nm` → nm), or the one an effect declares."""
-    declared = getattr(owner, "unit", None)
-    if callable(declared) and declared(name):
-        return "°" if declared(name) == "deg" else str(declared(name))
-    if name in NAMED_UNITS:
-        return NAMED_UNITS[name]
-    return next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")
-
-
-def label_of(name: str) -> str:
-    """`frame_length_s` → "Frame length"."""
-    if name in LABELS:
-        return LABELS[name]
-    for ending in UNITS:
-        name = name.removesuffix(ending) if len(name) > len(ending) + 1 else name
-    words = name.replace("_", " ").strip()
-    return words[:1].upper() + words[1:]
-
-
-def bounds_of(field: FieldInfo) -> str:
-    """The allowed range in words."""
-    signs = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
-    found = []
-    for constraint in field.metadata:
-        for name, sign in signs.items():
-            limit = getattr(constraint, name, None)
-            if limit is not None:
-                found.append(f"{sign} {limit:g}")
-    return " and ".join(found)
 
 
 # looks ------------------------------------------------------------------------------------------------

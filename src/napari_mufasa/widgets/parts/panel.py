@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from qtpy.QtCore import Qt
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined]
-from qtpy.QtWidgets import QLabel, QPushButton, QSizePolicy, QTabWidget, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFileDialog, QLabel, QPushButton, QSizePolicy, QTabWidget, QVBoxLayout, QWidget
 from superqt import QCollapsible
 
 from napari_mufasa.widgets.turns.jobs import RunBar, Work, guarded
@@ -30,6 +30,7 @@ class Panel(QWidget):
     running = "Running"  # what is said meanwhile
     form_factory: ClassVar[Callable[..., FunctionGui[..., Any]] | None] = None
     hidden: tuple[str, ...] = ("dark_frames",)  # parameters that are set elsewhere
+    needs = ""  # "movie", or its "counts": without it the run is refused at once
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__()
@@ -69,6 +70,10 @@ class Panel(QWidget):
 
     def prepare(self) -> None:
         """Check the settings and start the work; the step's function on the form's values, unless it is overridden."""
+        if self.needs:
+            measurement = self.measurement()
+            if self.needs == "counts":
+                measurement.recorded()
         self.call(self.running, self.take)
 
     def take(self, result: Any) -> Any:
@@ -91,6 +96,13 @@ class Panel(QWidget):
 
     def start(self, title: str, work: Work, done: Any) -> None:
         self.run_bar.start(title, work, done)
+
+    def ask_where(self, caption: str, save: Callable[[str], None], name: str = "") -> None:
+        """Ask for a file to write, as `name`, or else for a folder, and save there."""
+        path = QFileDialog.getSaveFileName(self, caption, name)[0] if name else ""
+        path = path if name else QFileDialog.getExistingDirectory(self, caption)
+        if path:
+            guarded(self.run_bar, lambda: save(path))
 
 
 class Tabs(QTabWidget):

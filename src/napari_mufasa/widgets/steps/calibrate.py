@@ -69,7 +69,7 @@ def calibrate_widget(viewer: Viewer | None = None, call_button: Any = "Measure")
 
 class CameraPanel(Panel):
     words = "The camera that recorded the movie. It is used in every later step."
-    run_label, running = "Measure it on the movie", "Measuring the camera"
+    run_label, running, needs = "Measure it on the movie", "Measuring the camera", "counts"
     form_factory = calibrate_widget
     hidden = ("dark_frames", "camera_type")
 
@@ -86,10 +86,6 @@ class CameraPanel(Panel):
         self.column.addStretch(1)
         self.session.model_changed.connect(self._refresh)
         self._refresh()
-
-    def prepare(self) -> None:
-        self.measurement().recorded()
-        super().prepare()
 
     def take(self, found: Calibration) -> None:
         """What was measured is the camera from now on."""

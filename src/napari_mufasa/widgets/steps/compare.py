@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from magicgui.widgets import ComboBox
 from napari.layers import Layer
-from qtpy.QtWidgets import QFileDialog, QVBoxLayout
+from qtpy.QtWidgets import QVBoxLayout
 
-from napari_mufasa.widgets.parts.edits import number_text
+from napari_mufasa.report.telling import comparison_table
 from napari_mufasa.widgets.parts.forms import dress_one, step_form
 from napari_mufasa.widgets.parts.layers import ours
 from napari_mufasa.widgets.parts.panel import Panel, Tabs, boxed, button, wrapped
 from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
 from napari_mufasa.widgets.parts.plot import PlotCanvas, drawing
 from napari_mufasa.widgets.steps.traces import molecules_on
-from napari_mufasa.widgets.turns.jobs import guarded
 from napari_mufasa.widgets.turns.live import LiveLine, live_of
 from napari_mufasa.widgets.turns.session import believed, in_the_shape_of, measurement_of
 from napari_mufasa.widgets.turns.steering import steering
@@ -72,7 +71,7 @@ class ComparePanel(Panel):
         "Simulate the believed model, read its movie like the measured one, and compare the molecules' signals. "
         "The floor is the distance between two halves of the measurement: no model gets below it."
     )
-    run_label, running = "Compare", "Comparing"
+    run_label, running, needs = "Compare", "Comparing", "counts"
     form_factory = compare_widget
 
     def build(self) -> None:
@@ -96,12 +95,10 @@ class ComparePanel(Panel):
             "Take the fitted brightness, background and bleaching into the model",
         )  # fmt: skip
         self.use_button.hide()
-        self.export_button = button("Export report …", self._ask_and_export, enabled=False)
+        self.export_button = button(
+            "Export report …", lambda: self.ask_where("Export comparison", self.export, "report.json"), enabled=False
+        )
         self.add(self.use_button, self.export_button)
-
-    def prepare(self) -> None:
-        self.measurement().recorded()
-        super().prepare()
 
     def take(self, layers: list[Any]) -> None:
         """The molecules are step Molecules' to show: here are the distances."""
@@ -110,20 +107,8 @@ class ComparePanel(Panel):
         from napari_mufasa.report.plots.emission import MODELS
 
         comparison: Comparison = ours(layers[0])["comparison"]
-        self.comparison = comparison
-        w1, interval, floor = comparison.w1, comparison.w1_interval, comparison.floor
-        rows = []
-        for name in ("mufasa", "fitted", "poisson", "sofi"):
-            if w1.get(name) is not None:
-                low, high = interval[name]
-                words = f"{number_text(round(w1[name], 2))} ({low:.2f} … {high:.2f})"
-                rows.append(f"<tr><td>{MODELS[name]}&nbsp;&nbsp;</td><td><b>{words}</b></td></tr>")
-        rows.append(f"<tr><td>floor</td><td>{floor.value:.2f} ({floor.low:.2f} … {floor.high:.2f})</td></tr>")
-        molecules = len(comparison.samples["measured"].traces)
-        notes = "".join(f"<br>{note}" for note in comparison.notes)
-        self.result.setText(
-            f"W1 distance in {w1['unit']}, {molecules} molecules (95 % interval)<table>{''.join(rows)}</table>{notes}"
-        )
+        self.comparison, w1 = comparison, comparison.w1
+        self.result.setText(comparison_table(comparison))
         self.result.show()
         self.use_button.setVisible(comparison.fit is not None)
         self.export_button.setEnabled(True)
@@ -155,11 +140,6 @@ class ComparePanel(Panel):
     def _use_fitted(self) -> None:
         if self.comparison is not None and self.comparison.fit is not None:
             self.session.set_model(self.comparison.fit.model, f"{self.session.model_origin}, fitted")
-
-    def _ask_and_export(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Export comparison", "report.json", filter="Report (*.json)")
-        if path:
-            guarded(self.run_bar, lambda: self.export(path))
 
     def export(self, path: str) -> None:
         """Write report.json (SPEC.md §10)."""

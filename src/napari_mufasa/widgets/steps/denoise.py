@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Generator
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from magicgui.widgets import ComboBox
 from napari.layers import Layer
 
@@ -48,8 +46,6 @@ CAMERAS: dict[str, dict[str, Any]] = {
         "type": "CCD", "quantum_efficiency": 0.7, "read_noise_e": 6.0, "electrons_per_adu": 1.0, "baseline_adu": 100.0,
     },
 }  # fmt: skip
-#: Results larger than this are written to a temporary zarr store and shown from there.
-IN_MEMORY_BYTES = 2**30
 
 
 def denoise(
@@ -86,6 +82,7 @@ def denoise(
     """
     from napari_mufasa.denoise.pipeline import denoise as run
     from napari_mufasa.denoise.pipeline import measured_camera
+    from napari_mufasa.denoise.viewing import lazily, store_for, taken_away
 
     progress, cancel = steering()
     measurement = measurement_of(movie, dark, dark_frames).recorded()
@@ -111,7 +108,7 @@ def denoise_widget(viewer: Viewer | None = None, call_button: Any = "Denoise") -
 
 class DenoisePanel(Panel):
     words = "Run the camera backwards: from counts to photons per pixel, the camera's noise removed."
-    run_label, running = "Denoise", "Denoising"
+    run_label, running, needs = "Denoise", "Denoising", "counts"
     form_factory = denoise_widget
     hidden = ("dark", "dark_frames")
 
@@ -135,10 +132,6 @@ class DenoisePanel(Panel):
     def settings(self) -> tuple[Method, bool]:
         """Method and whether the excess noise counts."""
         return self.form.method.value, self.form.excess_noise.value
-
-    def prepare(self) -> None:
-        self.measurement().recorded()
-        super().prepare()
 
     def take(self, layers: list[Any]) -> Generator[None, None, None]:
         self.preview.switch.setChecked(False)
@@ -181,42 +174,3 @@ class DenoisePanel(Panel):
             )
 
         self.start("Measuring the camera", work, done)
-
-
-def store_for(shape: tuple[int, ...]) -> Any:
-    """A zarr array in a temporary folder for results that are better not held in memory; None for the others."""
-    if 4 * int(np.prod(shape, dtype=np.int64)) <= IN_MEMORY_BYTES:
-        return None
-    import zarr
-
-    folder = tempfile.mkdtemp(prefix="mufasa-denoised-")
-    chunks = (min(16, shape[0]), *shape[1:])
-    return zarr.open(folder, mode="w", shape=shape, chunks=chunks, dtype="f4")
-
-
-def lazily(result: Any) -> Any:
-    """Stored results as dask, so that the viewer reads the frame it shows."""
-    if isinstance(result, np.ndarray):
-        return result
-    import dask.array
-
-    da: Any = dask.array  # its functions carry no types
-
-    return da.from_array(result, chunks=(1, *result.shape[1:]))
-
-
-def taken_away(movie: Any, camera: Any, photons: Any) -> Any:
-    """Recorded frames as photons less the denoised ones, frame by frame when looked at."""
-    import dask.array
-
-    da: Any = dask.array  # its functions carry no types
-
-    from napari_mufasa import camera as cam
-
-    one_frame = (1, *photons.shape[1:])
-    counts, after = da.asarray(movie).rechunk(one_frame), da.asarray(photons).rechunk(one_frame)
-
-    def difference(recorded: Any, denoised: Any) -> Any:
-        return np.asarray(cam.photons(cam.photoelectrons(recorded, camera), camera) - denoised, np.float32)
-
-    return da.map_blocks(difference, counts, after, dtype=np.float32)

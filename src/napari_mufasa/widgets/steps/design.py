@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import pandas as pd
 from magicgui.widgets import Table
-from qtpy.QtWidgets import QFileDialog
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
+from napari_mufasa.report.fields import told
 from napari_mufasa.widgets.parts.edits import ListEdit
-from napari_mufasa.widgets.parts.forms import label_of, step_form, unit_of
+from napari_mufasa.widgets.parts.forms import step_form
 from napari_mufasa.widgets.parts.panel import Panel, button, section, takes_the_rest
 from napari_mufasa.widgets.parts.parameters import AnyMovie, Believed
 from napari_mufasa.widgets.parts.part_editor import DerivedValues
-from napari_mufasa.widgets.turns.jobs import guarded
 from napari_mufasa.widgets.turns.session import believed
 
 if TYPE_CHECKING:
@@ -30,8 +29,7 @@ def varied() -> list[tuple[str, str]]:
         kind: Any = Model.model_fields[part].annotation
         for name, field in kind.model_fields.items():
             if field.annotation in (int, float, float | None, int | None):
-                unit = unit_of(name)
-                found.append((f"{label_of(name)} ({unit})" if unit else label_of(name), f"{part}.{name}"))
+                found.append((told(name), f"{part}.{name}"))
     return found
 
 
@@ -72,7 +70,9 @@ class DesignPanel(Panel):
         self.table: Any = Table()
         self.table.native.setAccessibleName("Predictions, a column for each value")
         takes_the_rest(self.table.native, 300)
-        self.save_button = button("Save table as CSV …", self._ask_and_save, enabled=False)
+        self.save_button = button(
+            "Save table as CSV …", lambda: self.ask_where("Save predictions", self.save, "design.csv"), enabled=False
+        )
         self.add(self.form.native, self.run_bar, section("What follows", DerivedValues(self.session)))
         self.column.addWidget(self.table.native, 1)
         self.add(self.save_button)
@@ -81,15 +81,10 @@ class DesignPanel(Panel):
         self.prediction = found
         rows = {name: [_short(value) for value in found[name]] for name in found.columns[1:]}
         self.table.value = {
-            "data": list(rows.values()), "index": [_told(name) for name in rows],
+            "data": list(rows.values()), "index": [told(name) for name in rows],
             "columns": [f"{value:g}" for value in found[found.columns[0]]],
         }  # fmt: skip
         self.save_button.setEnabled(True)
-
-    def _ask_and_save(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Save predictions", "design.csv", filter="Table (*.csv)")
-        if path:
-            guarded(self.run_bar, lambda: self.save(path))
 
     def save(self, path: str) -> None:
         from napari_mufasa.files.whole import write_table
@@ -106,11 +101,6 @@ def _now(path: str) -> Any:
     owner: Any = Model.model_fields[part].annotation
     kind = owner.model_fields[name].annotation
     return 0 if kind in (int, int | None) else 0.0
-
-
-def _told(name: str) -> str:
-    unit = unit_of(name)
-    return f"{label_of(name)} ({unit})" if unit else label_of(name)
 
 
 def _short(value: Any) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from napari.layers import Layer
-from qtpy.QtWidgets import QFileDialog
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.report.telling import headline
@@ -122,7 +121,10 @@ class DiscoverPanel(Panel):
         pages = {"Where it fails": self.where, "What is missing": self.what, "Error": self.history}
         self.tabs = Tabs(430, pages | {"What would show": self.unseen})
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), False)
-        self.export_button = button("Export report and model …", self._ask_and_export, enabled=False)
+        self.export_button = button(
+            "Export report and model …", lambda: self.ask_where("Folder for report.json and model.json", self.export),
+            enabled=False,
+        )  # fmt: skip
         self.add(self.form.native, section("Suspects", self.suspects), self.run_bar, self.verdict)
         self.column.addWidget(self.tabs, 1)
         self.add(self.export_button)
@@ -249,11 +251,6 @@ class DiscoverPanel(Panel):
             self.run_bar.say("Left the measured movie, right the completed model's.")
 
     # files ------------------------------------------------------------------------------------------
-    def _ask_and_export(self) -> None:
-        folder = QFileDialog.getExistingDirectory(self, "Folder for report.json and model.json")
-        if folder:
-            guarded(self.run_bar, lambda: self.export(folder))
-
     def export(self, folder: str) -> None:
         """Write report.json, model.json and the table of observables."""
         from napari_mufasa.files.whole import write_table

@@ -9,9 +9,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from napari.layers import Layer
-from qtpy.QtWidgets import QFileDialog
 
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.report.telling import molecule_line
 from napari_mufasa.spots.aperture import Profile
 from napari_mufasa.widgets.parts.edits import NumberEdit
 from napari_mufasa.widgets.parts.forms import step_form
@@ -43,7 +43,10 @@ def traces(
     model: Believed = None,
     profile: Annotated[
         Profile,
-        {"label": "Signal", "widget_type": "ComboBox", "choices": PROFILES, "tooltip": "What is read as the molecule's signal in a frame"},
+        {
+            "label": "Signal", "widget_type": "ComboBox", "choices": PROFILES,
+            "tooltip": "What is read as the molecule's signal in a frame",
+        },
     ] = "psf",
     threshold_sigma: Annotated[
         float,
@@ -123,7 +126,11 @@ class MoleculesPanel(Panel):
             "Keep / reject this molecule", lambda: guarded(self.run_bar, self._toggle),
             "Your own judgement; the reason column says so", enabled=False,
         )  # fmt: skip
-        self.save_button = button("Save traces as CSV …", self._ask_and_save, enabled=False)
+        self.save_button = button(
+            "Save traces as CSV …",
+            lambda: self.ask_where("Folder for traces.csv and molecules.csv", self.save),
+            enabled=False,
+        )
         self.add(self.toggle_button, self.save_button)
         self.traces: TraceSet | None = None
         self.points: Any = None
@@ -162,13 +169,7 @@ class MoleculesPanel(Panel):
         self.shown = molecule
         self.toggle_button.setEnabled(True)
         row = self.traces.molecules.iloc[molecule]
-        verdict = "kept" if row["kept"] else f"rejected: {row['reason']}"
-        bleached = int(row["bleaching_frame"])
-        title = (
-            f"<b>Molecule {molecule}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · "
-            f"{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
-            f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
-        )
+        bleached, title = int(row["bleaching_frame"]), molecule_line(row)
         trace, lit = self.traces.all_traces[molecule], self.traces.lit[molecule]
         data = pd.DataFrame({"frame": np.arange(len(trace)), "photoelectrons": trace, "on": lit})
         self.plot.draw(lambda figure: _draw_trace(figure, trace, lit, bleached), data, title)
@@ -216,11 +217,6 @@ class MoleculesPanel(Panel):
             self.points.features = features
             self.points.border_color = _colours(features)
         self.select(self.shown)
-
-    def _ask_and_save(self) -> None:
-        folder = QFileDialog.getExistingDirectory(self, "Folder for traces.csv and molecules.csv")
-        if folder:
-            guarded(self.run_bar, lambda: self.save(folder))
 
     def save(self, folder: str) -> None:
         """Write traces.csv and molecules.csv (SPEC.md §10)."""
