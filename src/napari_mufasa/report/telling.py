@@ -4,15 +4,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from napari_mufasa.report.fields import number_text
 from napari_mufasa.report.words import effect_title as title_of
 
 if TYPE_CHECKING:
     from napari_mufasa.compare import Comparison
+    from napari_mufasa.compare.wasserstein import Floor
     from napari_mufasa.discover.result import Candidate, Report
 
 __all__ = [
-    "comparison_table", "detectable_rows", "headline", "matching_curve", "molecule_line", "title_of", "told",
+    "comparison_table",
+    "detectable_rows",
+    "headline",
+    "live_line",
+    "map_line",
+    "matching_curve",
+    "molecule_line",
+    "molecules_line",
+    "title_of",
+    "told",
     "words_of",
 ]  # fmt: skip
 
@@ -109,3 +122,30 @@ def molecule_line(row: Any) -> str:
         f"{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
         f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
     )
+
+
+def map_line(layer: str, z: NDArray[Any], where: str) -> str:
+    """What a map of misfit (in sd) shows; `where`: its worst stretch, if it has any."""
+    off = float((np.abs(z) > 4).mean())
+    return (
+        f"Layer “{layer}”: measured − model in sd (green more, pink less); "
+        f"{off:.1%} of the pixels are more than 4 sd off{where}."
+    )
+
+
+def molecules_line(layer: str, table: Any, number: str) -> str:
+    """What a layer of molecules coloured by their misfit in a number (a column of `Places.molecules`) shows."""
+    z = table[number].to_numpy(float)
+    worst = table.iloc[int(np.argmax(np.abs(z)))]
+    return (
+        f"Layer “{layer}”: each molecule against the model's (green more, pink less); "
+        f"{int((np.abs(z) > 3).sum())} of {len(z)} are more than 3 sd off, farthest at "
+        f"y {worst['y_px']:.0f}, x {worst['x_px']:.0f} px."
+    )
+
+
+def live_line(w1: float, floor: Floor, busy: bool) -> str:
+    """The distance of a model that is being edited, as HTML."""
+    # A model at the floor scores anything up to about the largest distance of two halves.
+    at = " – at the floor" if w1 <= floor.high else f" – {w1 / max(floor.value, 1e-9):.1f} × the floor"
+    return f"W1 now <b>{w1:.2f}</b>, floor {floor.value:.2f} e⁻ per frame{at}{' …' if busy else ''}"

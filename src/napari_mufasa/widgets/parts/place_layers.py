@@ -9,6 +9,7 @@ import numpy as np
 
 from napari_mufasa.discover.places import MOLECULE_WORDS, WORDS, Places, place_of
 from napari_mufasa.files.movies import METADATA_KEY
+from napari_mufasa.report.telling import map_line, molecules_line
 from napari_mufasa.widgets.parts.edits import PLACE
 from napari_mufasa.widgets.parts.layers import movie_layer, points_on, space_of
 from napari_mufasa.widgets.turns.gently import gently, without_labels
@@ -128,24 +129,14 @@ class PlaceLayers:
             start, stop = round(worst * long), round((worst + 1) * long) - 1
             frames = f"; frames {start + first_frame} … {stop + first_frame} are farthest off"
             self._go_to((start + stop) // 2 + first_frame, movie)
-        off = float((np.abs(z) > 4).mean())
-        return (
-            f"Layer “{layer.name}”: measured − model in sd (green more, pink less); "
-            f"{off:.1%} of the pixels are more than 4 sd off{frames}."
-        )
+        return map_line(layer.name, z, frames)
 
     def _show_molecules(self, number: str, places: Places, movie: Image) -> str:
         table = places.molecules
         if not len(table) or number not in table:
             return "No molecule was found to show this on."
         layer = self._take("molecules", molecules_of(number, places, movie), movie)
-        z = table[number].to_numpy(float)
-        worst = table.iloc[int(np.argmax(np.abs(z)))]
-        return (
-            f"Layer “{layer.name}”: each molecule against the model's (green more, pink less); "
-            f"{int((np.abs(z) > 3).sum())} of {len(z)} are more than 3 sd off, farthest at "
-            f"y {worst['y_px']:.0f}, x {worst['x_px']:.0f} px."
-        )
+        return molecules_line(layer.name, table, number)
 
     def _take(self, name: str, new: Any, movie: Image) -> Any:
         """Show a layer: its values in the one that is there, or itself."""

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 from qtpy.QtCore import Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QCheckBox, QVBoxLayout, QWidget
 
+from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.report.telling import matching_curve, told
 from napari_mufasa.widgets.parts.panel import wrapped
-from napari_mufasa.widgets.parts.plot import PlotCanvas, drawing
+from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.parts.tables import RowTable
 

@@ -8,12 +8,13 @@ from magicgui.widgets import ComboBox
 from napari.layers import Layer
 from qtpy.QtWidgets import QVBoxLayout
 
+from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.report.telling import comparison_table
 from napari_mufasa.widgets.parts.forms import dress_one, step_form
 from napari_mufasa.widgets.parts.layers import ours
 from napari_mufasa.widgets.parts.panel import Panel, Tabs, boxed, button, wrapped
 from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
-from napari_mufasa.widgets.parts.plot import PlotCanvas, drawing
+from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.traces import molecules_on
 from napari_mufasa.widgets.turns.live import LiveLine, live_of
 from napari_mufasa.widgets.turns.session import believed, in_the_shape_of, measurement_of

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from napari.layers import Layer
 
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.report.telling import headline
 from napari_mufasa.report.words import in_text
 from napari_mufasa.widgets.parts.edits import ListEdit
@@ -18,7 +19,7 @@ from napari_mufasa.widgets.parts.layers import ours
 from napari_mufasa.widgets.parts.panel import Panel, Tabs, button, section, wrapped
 from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
 from napari_mufasa.widgets.parts.place_layers import PlaceLayers, map_of, molecules_of, simulated_of
-from napari_mufasa.widgets.parts.plot import PlotCanvas, drawing
+from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.parts.suspects import Suspects
 from napari_mufasa.widgets.parts.what_page import DetectablePage, WhatPage
 from napari_mufasa.widgets.parts.where_page import WherePage

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from qtpy.QtCore import QObject, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QLabel
 
+from napari_mufasa.report.telling import live_line
 from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.turns.latest import Latest
 from napari_mufasa.widgets.turns.session import Session
@@ -85,11 +86,7 @@ class LiveDistance(QObject):
             return f"Distance to the measurement: {self.problem}"
         if self.distance is None:
             return "Distance to the measurement: …"
-        w1, floor = self.distance.w1, self.distance.floor
-        # A model at the floor scores anything up to about the largest distance of two halves.
-        at = " – at the floor" if w1 <= floor.high else f" – {w1 / max(floor.value, 1e-9):.1f} × the floor"
-        dots = " …" if self.busy else ""
-        return f"W1 now <b>{w1:.2f}</b>, floor {floor.value:.2f} e⁻ per frame{at}{dots}"
+        return live_line(self.distance.w1, self.distance.floor, self.busy)
 
     def _on_change(self) -> None:
         self._stale = True
