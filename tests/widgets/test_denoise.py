@@ -46,7 +46,7 @@ def test_denoise_preview_shows_the_frame_in_view_before_and_after(
 
 def test_denoise_camera_presets_and_residual(with_movie, open_panel, run, bright_movie, bright_model):
     from napari_mufasa import camera as cam
-    from napari_mufasa.widgets.steps.denoise import CAMERAS
+    from napari_mufasa.model.cameras import CAMERAS
 
     panel = open_panel(DenoisePanel, with_movie)
     panel.form.residual.value = True

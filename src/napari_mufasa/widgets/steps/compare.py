@@ -17,7 +17,7 @@ from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFra
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.traces import molecules_on
 from napari_mufasa.widgets.turns.live import LiveLine, live_of
-from napari_mufasa.widgets.turns.session import believed, in_the_shape_of, measurement_of
+from napari_mufasa.widgets.turns.session import believed, measurement_of
 from napari_mufasa.widgets.turns.steering import steering
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def compare(
     progress, cancel = steering()
     measurement = measurement_of(movie, dark, dark_frames).recorded()
     found = compare_movie(
-        measurement.movie, in_the_shape_of(believed(model, movie), measurement.movie), measurement.dark,
+        measurement.movie, believed(model, movie), measurement.dark,
         seed=seed, fit=fit, progress=progress, cancel=cancel,
     )  # fmt: skip
     assert found.measured is not None  # it was a movie

@@ -9,6 +9,7 @@ from magicgui.widgets import ComboBox
 from napari.layers import Layer
 
 from napari_mufasa.denoise.pipeline import Method
+from napari_mufasa.model.cameras import CAMERAS
 from napari_mufasa.widgets.parts.denoise_preview import PreviewBox
 from napari_mufasa.widgets.parts.forms import dress, step_form
 from napari_mufasa.widgets.parts.layers import added, movie_layer, space_of
@@ -32,20 +33,6 @@ METHODS = [
 ]
 IN_USE = "as set below"
 MEASURED = "measure on this movie"
-#: Typical cameras to start from; electrons per count and baseline are on the camera's data sheet.
-CAMERAS: dict[str, dict[str, Any]] = {
-    "EMCCD, gain 300": {
-        "type": "EMCCD", "quantum_efficiency": 0.9, "read_noise_e": 50.0, "clock_induced_charge_e": 0.002,
-        "electrons_per_adu": 12.0, "baseline_adu": 200.0, "em_gain": 300.0,
-    },
-    "sCMOS, linear": {
-        "type": "CMOS", "quantum_efficiency": 0.8, "read_noise_e": 1.6, "electrons_per_adu": 0.46,
-        "baseline_adu": 100.0, "cmos_gain_curve": ((0.0, 0.0), (1.0, 1.0)),
-    },
-    "CCD": {
-        "type": "CCD", "quantum_efficiency": 0.7, "read_noise_e": 6.0, "electrons_per_adu": 1.0, "baseline_adu": 100.0,
-    },
-}  # fmt: skip
 
 
 def denoise(

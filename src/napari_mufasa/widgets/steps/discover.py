@@ -24,7 +24,7 @@ from napari_mufasa.widgets.parts.suspects import Suspects
 from napari_mufasa.widgets.parts.what_page import DetectablePage, WhatPage
 from napari_mufasa.widgets.parts.where_page import WherePage
 from napari_mufasa.widgets.turns.jobs import guarded
-from napari_mufasa.widgets.turns.session import believed, in_the_shape_of, measurement_of
+from napari_mufasa.widgets.turns.session import believed, measurement_of
 from napari_mufasa.widgets.turns.steering import Helm, steered, steering
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def discover(
     """
     progress, cancel = steering()
     measurement = measurement_of(movie, dark, dark_frames).recorded()
-    model, recorded = in_the_shape_of(believed(model, movie), measurement.movie), measurement.movie
+    model, recorded = believed(model, movie), measurement.movie
     if max_effects:
         from napari_mufasa.discover import diagnose
         from napari_mufasa.discover.measurement import prepare

@@ -74,14 +74,6 @@ def believed(model: Model | None, movie: Image | None = None) -> Model:
     return found
 
 
-def in_the_shape_of(model: Model, movie: Any) -> Model:
-    """The model with the movie's own number of frames and detector shape."""
-    frames, *shape = (int(n) for n in movie.shape)
-    if (frames, *shape) == (model.acquisition.n_frames, *model.acquisition.shape_px):
-        return model
-    return model.with_values({"acquisition.n_frames": frames, "acquisition.shape_px": tuple(shape)})
-
-
 class Session(QObject):
     """The shared state of one viewer, or of a form by itself. Signals tell the panels what changed."""
 
