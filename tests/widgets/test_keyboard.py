@@ -21,8 +21,9 @@ CONTROLS = (QAbstractButton, QLineEdit, QAbstractSpinBox, QComboBox, QAbstractIt
 
 @pytest.fixture
 def workflow(make_napari_viewer, qtbot, bright_model, bright_movie):
+    from tests.widgets.helpers import add_movie
+
     from napari_mufasa.files.layers import movie_space
-    from napari_mufasa.widgets.parts.layers import add_movie
     from napari_mufasa.widgets.turns.session import session_of
 
     viewer = make_napari_viewer(strict_qt="raise", show=True)

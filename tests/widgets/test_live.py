@@ -60,8 +60,9 @@ def test_error_of_the_work_arrives(latest, qtbot):
 
 
 def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot, run, bright_model, bright_movie):
+    from tests.widgets.helpers import add_movie
+
     from napari_mufasa.files.layers import movie_space
-    from napari_mufasa.widgets.parts.layers import add_movie
 
     viewer = make_napari_viewer(strict_qt="raise", show=True)
     _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")

@@ -6,6 +6,7 @@ import inspect
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,14 @@ def test_a_step_without_its_movie_says_so(step):
 def test_what_is_no_layer_is_refused():
     with pytest.raises(MufasaError, match=r"napari\.layers\.Image"):
         widgets.denoise_widget().movie.value = np.zeros((3, 4, 4))
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_the_documented_parameters_are_those_of_the_function(step):
+    page = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text(encoding="utf-8")
+    row = next(line for line in page.splitlines() if line.startswith(f"| `{step}_widget`"))
+    told = [name.split(" (")[0].strip() for name in row.split("|")[2].split(",")]
+    assert told == list(inspect.signature(function(step)).parameters)
 
 
 def test_importing_the_package_stays_cheap():

@@ -14,7 +14,7 @@ from magicgui.widgets import CheckBox, ComboBox, Container, FunctionGui, Widget
 from psygnal import Signal
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from qtpy.QtWidgets import QComboBox, QLineEdit, QPushButton, QSizePolicy
+from qtpy.QtWidgets import QComboBox, QLabel, QLineEdit, QPushButton, QSizePolicy
 
 from napari_mufasa.report.fields import bounds_of, label_of, told
 from napari_mufasa.widgets.parts.edits import ListEdit, MapEdit, NumberEdit, ShapeEdit
@@ -120,7 +120,9 @@ def dress(form: Container[Any]) -> None:
     form.native.layout().setSpacing(3)
     for widget in form:
         dress_one(widget)
-        widget.label = widget.label  # all labels of a form become as wide as the widest
+    labels = [label for label in form.native.findChildren(QLabel) if label.parent().parent() is form.native]
+    for label in labels:  # napari's font is larger than the one that magicgui measures with
+        label.setMinimumWidth(round(1.15 * max(other.sizeHint().width() for other in labels)))
 
 
 def dress_one(widget: Any) -> Any:

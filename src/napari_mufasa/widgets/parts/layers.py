@@ -63,14 +63,6 @@ def ours(layer: Layer) -> dict[str, Any]:
     return found
 
 
-def add_movie(viewer: Viewer, *args: Any, **options: Any) -> Image:
-    """A `movie_layer`, added in one go."""
-    layer = movie_layer(*args, **options)
-    with gently(viewer):
-        viewer.add_layer(layer)
-    return layer
-
-
 def added(viewer: Viewer, layers: Iterable[Layer]) -> Generator[None, None, None]:
     """Add layers to a viewer one after the other; what is drawn of each comes a turn later."""
     for layer in layers:
