@@ -21,7 +21,6 @@ class EffectsList(QWidget):
         super().__init__()
         self.session = session
         self._off: dict[str, Effect] = {}
-        self._filling = False
         self.list = EffectTicks("Effects in the model", 84)
         self.list.ticked.connect(self._on_ticked)
         self.list.currentItemChanged.connect(lambda *_: self._show_form())
@@ -42,9 +41,7 @@ class EffectsList(QWidget):
         model = self.session.model
         on = {effect.kind: effect for effect in model.effects}
         self._off = {kind: effect for kind, effect in self._off.items() if kind not in on}
-        self._filling = True  # the selection moves meanwhile
         self.list.fill({kind: type(effect) for kind, effect in {**on, **self._off}.items()}, on)
-        self._filling = False
         self.kinds.choices = [(e.title or k, k) for k, e in catalogue().items() if e.suits(model) and k not in on]
         self._show_form()
 
@@ -78,8 +75,6 @@ class EffectsList(QWidget):
             self._without(kind)
 
     def _show_form(self) -> None:
-        if self._filling:
-            return
         effect = self._effect(self.list.kind)
         if self.form is not None:
             self._layout.removeWidget(self.form.native)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from qtpy.QtCore import QObject
 
-from napari_mufasa.widgets.turns.jobs import Quiet
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ class Shared(QObject):
         super().__init__(form.native)
         self.form = form
         session = self.session = session_of(viewer)
-        self._quiet = Quiet(self)
+        self._showing = False  # what the session says, not the user
         names = form.asdict()
         self._layers = [form[name] for name in ("movie", "dark", "molecules") if name in names]
         for widget in self._layers:
@@ -35,7 +34,7 @@ class Shared(QObject):
         if movie is not None and session.movie_layer is None and movie.value is not None:
             session.set_movie(movie.value)
         for name, widget in self._values.items():
-            widget.changed.connect(lambda value, setter=setters[name]: None if self._quiet else setter(value))
+            widget.changed.connect(lambda value, setter=setters[name]: None if self._showing else setter(value))
         session.movie_changed.connect(self.refresh)
         self.refresh()
         if "model" in names:
@@ -44,10 +43,11 @@ class Shared(QObject):
     def refresh(self) -> None:
         session = self.session
         now = {"movie": session.movie_layer, "dark": session.dark_layer, "dark_frames": session.dark_frames}
-        with self._quiet:
-            for name, widget in self._values.items():
-                if name != "movie" or now["movie"] is not None:
-                    widget.value = now[name]
+        self._showing = True
+        for name, widget in self._values.items():
+            if name != "movie" or now["movie"] is not None:
+                widget.value = now[name]
+        self._showing = False
 
     def reset_choices(self, _event: Any = None) -> None:
         try:

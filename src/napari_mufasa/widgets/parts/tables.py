@@ -9,7 +9,6 @@ from qtpy.QtCore import Qt, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QHeaderView, QListWidget, QListWidgetItem, QTableWidget, QTableWidgetItem
 
 from napari_mufasa.effects import Effect
-from napari_mufasa.widgets.turns.jobs import Quiet
 
 KEY = Qt.ItemDataRole.UserRole
 TICKED = {True: Qt.CheckState.Checked, False: Qt.CheckState.Unchecked}
@@ -67,23 +66,23 @@ class EffectTicks(QListWidget):
         super().__init__()
         self.setMaximumHeight(height)
         self.setAccessibleName(accessible_name)
-        self._quiet = Quiet(self)
         self.itemChanged.connect(self._on_changed)
 
     def fill(self, effects: dict[str, type[Effect]], on: Iterable[str]) -> None:
         """Show these effects; nobody is told. The one that was selected stays so."""
         selected, on = self.kind, set(on)
-        with self._quiet:
-            self.clear()
-            for kind, effect in effects.items():
-                item = QListWidgetItem(effect.title or kind)
-                item.setData(KEY, kind)
-                item.setToolTip(effect.what_it_does)
-                item.setFlags(item.flags() | Qt.ItemFlag.ItemIsUserCheckable)
-                item.setCheckState(TICKED[kind in on])
-                self.addItem(item)
-                if kind == selected:
-                    self.setCurrentItem(item)
+        blocked = self.blockSignals(True)
+        self.clear()
+        for kind, effect in effects.items():
+            item = QListWidgetItem(effect.title or kind)
+            item.setData(KEY, kind)
+            item.setToolTip(effect.what_it_does)
+            item.setFlags(item.flags() | Qt.ItemFlag.ItemIsUserCheckable)
+            item.setCheckState(TICKED[kind in on])
+            self.addItem(item)
+            if kind == selected:
+                self.setCurrentItem(item)
+        self.blockSignals(blocked)
 
     @property
     def kind(self) -> str | None:
@@ -98,5 +97,4 @@ class EffectTicks(QListWidget):
         return {str(item.data(KEY)): item for item in rows}
 
     def _on_changed(self, item: QListWidgetItem) -> None:
-        if not self._quiet:
-            self.ticked.emit(str(item.data(KEY)), item.checkState() == TICKED[True])
+        self.ticked.emit(str(item.data(KEY)), item.checkState() == TICKED[True])

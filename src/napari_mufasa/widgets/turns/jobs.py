@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from qtpy.QtCore import QObject, Qt, QTimer, Signal  # type: ignore[attr-defined]
+from qtpy.QtCore import Qt, QTimer, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
@@ -226,20 +226,3 @@ def report_error(error: BaseException) -> str:
         return str(error)
     notification_manager.dispatch(ErrorNotification(error))
     return f"Unexpected {type(error).__name__}: {error}. The notification has the details to report."
-
-
-class Quiet(QObject):
-    """``with quiet:`` – changes made by code, which must not be taken for the user's."""
-
-    def __init__(self, parent: QObject | None = None) -> None:
-        super().__init__(parent)
-        self.active = False
-
-    def __enter__(self) -> None:
-        self.active = True
-
-    def __exit__(self, *_: object) -> None:
-        self.active = False
-
-    def __bool__(self) -> bool:
-        return self.active
