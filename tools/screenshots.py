@@ -154,7 +154,7 @@ def settle(workflow: Any) -> None:
 
 def simulate(viewer: Any, dock: Any) -> Iterator[str]:
     panel = dock.panel
-    panel.source.choose("FF")
+    panel.form.model.choose("FF")
     power = panel.parts["excitation"].form["power_density_w_per_cm2"].native
     power.setText("10")
     power.editingFinished.emit()

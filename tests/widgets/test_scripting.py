@@ -133,6 +133,14 @@ def test_denoise_leaves_out_the_dark_frames_and_stays_in_place(layer, bright_mov
     assert photons.translate[0] == 10
 
 
+def test_denoise_takes_a_single_image(bright_movie, bright_model):
+    widget = widgets.denoise_widget()
+    widget.movie.value = Image(bright_movie.movie[0], scale=(0.1, 0.1), units=("um", "um"))
+    widget.model.value, widget.method.value = bright_model, "none"
+    (photons,) = widget()
+    assert photons.data.shape == (1, 48, 64) and tuple(photons.scale) == (1, 0.1, 0.1)
+
+
 def test_traces(layer, bright_movie, bright_model):
     from napari_mufasa.traces import extract_traces
 

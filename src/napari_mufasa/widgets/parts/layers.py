@@ -24,11 +24,12 @@ def like(layer: Layer) -> dict[str, Any]:
 
 
 def space_of(movie: Image, first_frame: int = 0) -> dict[str, Any]:
-    """The place of a result that begins with a later frame of the movie."""
-    space = like(movie)
-    if movie.ndim == 3:
-        space["translate"] = (float(movie.translate[0] + first_frame * movie.scale[0]), *movie.translate[1:])
-    return space
+    """The place of a result (frame, y, x) that begins with a later frame of the movie; a single image gets an axis."""
+    scale, translate, units = movie.scale, movie.translate, tuple(movie.units)
+    if movie.ndim == 2:
+        scale, translate, units = (1.0, *scale), (0.0, *translate), ("pixel", *units)
+    start = float(translate[0] + first_frame * scale[0])
+    return {"scale": tuple(scale), "translate": (start, *translate[1:]), "units": units}
 
 
 def movie_layer(data: Any, name: str, space: dict[str, Any], model: Model | None = None,
