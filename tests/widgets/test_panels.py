@@ -6,8 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from napari_mufasa.widgets.steps.calibrate import CameraPanel
 from napari_mufasa.widgets.steps.compare import ComparePanel
 from napari_mufasa.widgets.steps.denoise import DenoisePanel
+from napari_mufasa.widgets.steps.design import DesignPanel
 from napari_mufasa.widgets.steps.model import ModelPanel
 from napari_mufasa.widgets.steps.simulate import SimulatePanel
 from napari_mufasa.widgets.steps.traces import MoleculesPanel
@@ -225,3 +227,30 @@ def test_workflow_shares_its_values_between_steps(with_movie, qtbot):
     type_into(camera, "33")
     assert widget.step("Model").parts["camera"].form.read("read_noise_e") == 33
     assert widget.step("Denoise").session.model.camera.read_noise_e == 33
+
+
+def test_design_shows_a_column_for_each_value(viewer, open_panel, run, tmp_path, bright_model):
+    from napari_mufasa.design import design
+
+    panel = open_panel(DesignPanel, viewer)
+    session_of(viewer).set_model(bright_model, "test")
+    type_into(panel.form["values"], "1, 1000")
+    run(panel)
+    wanted = design(bright_model, {"excitation.power_density_w_per_cm2": [1.0, 1000.0]})
+    assert [panel.table.horizontalHeaderItem(i).text() for i in (1, 2)] == ["1", "1000"]
+    assert float(panel.table.item(0, 2).text()) == pytest.approx(wanted["k01_per_s"][1], rel=1e-3)
+    assert panel.table.rowCount() == len(wanted.columns) - 1
+    panel.save(str(tmp_path / "design.csv"))
+    assert pd.read_csv(tmp_path / "design.csv")["snr_spot"].to_numpy() == pytest.approx(wanted["snr_spot"].to_numpy())
+
+
+def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, bright_movie, bright_model):
+    from napari_mufasa.calibrate import calibrate
+
+    panel = open_panel(CameraPanel, with_movie)
+    panel.form.baseline_adu.value, panel.form.read_noise_adu.value = 367.0, 82.0
+    run(panel)
+    wanted = calibrate(bright_movie.movie, baseline_adu=367.0, read_noise_adu=82.0).camera
+    assert session_of(with_movie).model.camera == wanted
+    assert panel.editor.form.read("electrons_per_adu") == wanted.electrons_per_adu
+    assert "367" in panel.result.text() and "(measured)" in session_of(with_movie).model_origin

@@ -31,6 +31,11 @@ LABELS = {
     "cmos_gain_curve": "CMOS gain curve",
     "isc_ratio": "Triplet crossing α_isc",
     "type": "Type",
+    "k01_per_s": "Excitation rate k01",
+    "detected_e_per_frame": "Electrons detected per frame",
+    "snr_peak_pixel": "SNR, brightest pixel",
+    "snr_spot": "SNR, whole spot",
+    "w1_floor_e": "W1 floor",
 }
 
 

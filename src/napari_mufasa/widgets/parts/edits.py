@@ -171,10 +171,9 @@ class MapEdit(FileEdit):
 class LayerEdit(ComboBox):
     """A layer of the viewer, or any other that it is given; of a `kind`: "movie", "dark" frames, or "points"."""
 
-    null_string = "none"
-
     def __init__(self, *, kind: str = "movie", **options: Any) -> None:
         self.kind = kind
+        self.null_string = "the sample's layout" if kind == "points" else "none"
         self.viewer: Viewer | None = None  # None: the current one
         self._given: Any = None
         super().__init__(**(options | {"choices": LayerEdit.offered}))

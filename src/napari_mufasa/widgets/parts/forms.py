@@ -122,7 +122,7 @@ def dress(form: Container[Any]) -> None:
         dress_one(widget)
     labels = [label for label in form.native.findChildren(QLabel) if label.parent().parent() is form.native]
     for label in labels:  # napari's font is larger than the one that magicgui measures with
-        label.setMinimumWidth(round(1.15 * max(other.sizeHint().width() for other in labels)))
+        label.setMinimumWidth(round(1.25 * max(other.sizeHint().width() for other in labels)))
 
 
 def dress_one(widget: Any) -> Any:

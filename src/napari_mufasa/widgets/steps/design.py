@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
 import pandas as pd
-from magicgui.widgets import Table
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
-from napari_mufasa.report.fields import told
+from napari_mufasa.report.fields import number_text, told
 from napari_mufasa.widgets.parts.edits import ListEdit
 from napari_mufasa.widgets.parts.forms import step_form
 from napari_mufasa.widgets.parts.panel import Panel, button, section, takes_the_rest
 from napari_mufasa.widgets.parts.parameters import AnyMovie, Believed
 from napari_mufasa.widgets.parts.part_editor import DerivedValues
+from napari_mufasa.widgets.parts.tables import RowTable
 from napari_mufasa.widgets.turns.session import believed
 
 if TYPE_CHECKING:
@@ -67,23 +67,21 @@ class DesignPanel(Panel):
 
     def build(self) -> None:
         self.prediction: pd.DataFrame | None = None
-        self.table: Any = Table()
-        self.table.native.setAccessibleName("Predictions, a column for each value")
-        takes_the_rest(self.table.native, 300)
+        self.table = RowTable(["Prediction"], "Predictions, a column for each value")
+        takes_the_rest(self.table, 300)
         self.save_button = button(
             "Save table as CSV …", lambda: self.ask_where("Save predictions", self.save, "design.csv"), enabled=False
         )
         self.add(self.form.native, self.run_bar, section("What follows", DerivedValues(self.session)))
-        self.column.addWidget(self.table.native, 1)
+        self.column.addWidget(self.table, 1)
         self.add(self.save_button)
 
     def take(self, found: pd.DataFrame) -> None:
         self.prediction = found
-        rows = {name: [_short(value) for value in found[name]] for name in found.columns[1:]}
-        self.table.value = {
-            "data": list(rows.values()), "index": [told(name) for name in rows],
-            "columns": [f"{value:g}" for value in found[found.columns[0]]],
-        }  # fmt: skip
+        varied, *names = found.columns
+        self.table.setColumnCount(1 + len(found))
+        self.table.setHorizontalHeaderLabels(["Prediction", *(f"{value:g}" for value in found[varied])])
+        self.table.fill((name, [told(name), *(_short(value) for value in found[name])], told(name)) for name in names)
         self.save_button.setEnabled(True)
 
     def save(self, path: str) -> None:
@@ -104,4 +102,4 @@ def _now(path: str) -> Any:
 
 
 def _short(value: Any) -> str:
-    return "–" if value is None or value != value else f"{value:.4g}"
+    return "–" if value is None or value != value else number_text(float(f"{value:.4g}"))
