@@ -238,7 +238,7 @@ def test_design_shows_a_column_for_each_value(viewer, open_panel, run, tmp_path,
     run(panel)
     wanted = design(bright_model, {"excitation.power_density_w_per_cm2": [1.0, 1000.0]})
     assert [panel.table.horizontalHeaderItem(i).text() for i in (1, 2)] == ["1", "1000"]
-    assert float(panel.table.item(0, 2).text()) == pytest.approx(wanted["k01_per_s"][1], rel=1e-3)
+    assert float(panel.table.item(0, 2).text()) == pytest.approx(wanted["k01_per_s"][1], rel=5e-3)
     assert panel.table.rowCount() == len(wanted.columns) - 1
     panel.save(str(tmp_path / "design.csv"))
     assert pd.read_csv(tmp_path / "design.csv")["snr_spot"].to_numpy() == pytest.approx(wanted["snr_spot"].to_numpy())

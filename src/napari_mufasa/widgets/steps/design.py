@@ -42,8 +42,8 @@ def design(
     ] = ("excitation.power_density_w_per_cm2"),
     values: Annotated[
         tuple[float, ...],
-        {"widget_type": ListEdit, "label": "Values", "tooltip": "A column of the table for each, e.g. 1, 3, 10, 30"},
-    ] = (1.0, 3.0, 10.0, 30.0, 100.0),
+        {"widget_type": ListEdit, "label": "Values", "tooltip": "A column of the table for each, e.g. 1, 10, 100"},
+    ] = (1.0, 10.0, 100.0),
 ) -> pd.DataFrame:
     """Predict signal, noise, life time and detectability for some values of one parameter of a model.
 
@@ -68,6 +68,8 @@ class DesignPanel(Panel):
     def build(self) -> None:
         self.prediction: pd.DataFrame | None = None
         self.table = RowTable(["Prediction"], "Predictions, a column for each value")
+        header: Any = self.table.horizontalHeader()
+        header.setSectionResizeMode(0, header.ResizeMode.ResizeToContents)  # what it is must not be cut
         takes_the_rest(self.table, 300)
         self.save_button = button(
             "Save table as CSV …", lambda: self.ask_where("Save predictions", self.save, "design.csv"), enabled=False
@@ -102,4 +104,4 @@ def _now(path: str) -> Any:
 
 
 def _short(value: Any) -> str:
-    return "–" if value is None or value != value else number_text(float(f"{value:.4g}"))
+    return "–" if value is None or value != value else number_text(float(f"{value:.3g}"))
