@@ -3,9 +3,11 @@
     make stalls
 
 A heartbeat in the interface's thread notes every gap; a watchdog notes where the interface was when the beat was late.
-Bound: the worst gap is at most 150 ms with software rendering. Imports and first compilations are excepted: everything
-is done once with a small movie before. A step that takes longer than `LONGEST_S` on the large movie is cancelled, which
-must free its panel within a second; every step runs to its end on the small one. It is no part of `make test`, because
+Bound: the worst gap is at most 150 ms with software rendering, the longest garbage collection in that time taken off:
+Python collects when and where it likes, in whatever thread, and a full collection of napari's objects alone takes some
+160 ms (measured: 360 000 objects). A plugin must not keep Python from it. Imports and first compilations are excepted:
+everything is done once with a small movie before. A step that takes longer than `LONGEST_S` on the large movie is
+cancelled, which must free its panel within a second; every step runs to its end on the small one. It is no part of `make test`, because
 a busy machine delays an interface that does nothing: that gap is measured and told, too, and so is what napari alone
 needs to make and to remove layers. STALL_PARTS (first,small,large), STALL_SHAPE, STALL_LONGEST_S and STALL_FOLDER
 (keeps the movies) shorten it.
@@ -176,7 +178,8 @@ def test_interface_never_stands_still(make_napari_viewer, movies, tmp_path_facto
         if gap > 0.1 and not what.startswith("first"):
             for stack, n in heart.late.get(what, Counter()).most_common(6):
                 print(f"{what}: {n} × {stack}")
-    wrong = {what: gap for what, (gap, _) in heart.worst.items() if gap > allowed(what)}
+    own = {what: gap - heart.collecting.get(what, 0.0) for what, (gap, _) in heart.worst.items()}
+    wrong = {what: gap for what, gap in own.items() if gap > allowed(what)}
     assert not wrong, f"the interface stood still longer than {BOUND_S} s: {wrong}"
     assert not slow_cancels
 

@@ -1,4 +1,8 @@
-"""Long work in the background: real progress, a Cancel that acts at once, errors as notifications with the remedy."""
+"""Long work in the background: real progress, a Cancel that acts at once, errors as notifications with the remedy.
+
+The work runs beside the interface as any thread does. When Python collects its garbage meanwhile, all threads wait: a
+full collection of napari's objects takes some 160 ms, and is left to come when it comes.
+"""
 
 from __future__ import annotations
 
