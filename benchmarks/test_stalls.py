@@ -7,10 +7,10 @@ Bound: the worst gap is at most 150 ms with software rendering, the longest garb
 Python collects when and where it likes, in whatever thread, and a full collection of napari's objects alone takes some
 160 ms (measured: 360 000 objects). A plugin must not keep Python from it. Imports and first compilations are excepted:
 everything is done once with a small movie before. A step that takes longer than `LONGEST_S` on the large movie is
-cancelled, which must free its panel within a second; every step runs to its end on the small one. It is no part of `make test`, because
-a busy machine delays an interface that does nothing: that gap is measured and told, too, and so is what napari alone
-needs to make and to remove layers. STALL_PARTS (first,small,large), STALL_SHAPE, STALL_LONGEST_S and STALL_FOLDER
-(keeps the movies) shorten it.
+cancelled, which must free its panel within a second; every step runs to its end on the small one. It is no part of
+`make test`, because a busy machine delays an interface that does nothing: that gap is measured and told, too, and so is
+what napari alone needs to make and to remove layers. STALL_PARTS (first,small,large), STALL_SHAPE, STALL_LONGEST_S and
+STALL_FOLDER (keeps the movies) shorten it.
 """
 
 from __future__ import annotations
