@@ -3,12 +3,14 @@
     make stalls
 
 A heartbeat in the interface's thread notes every gap; a watchdog notes where the interface was when the beat was late.
-Bound: the worst gap is at most 150 ms with software rendering. Imports and first compilations are excepted: everything
-is done once with a small movie before. A step that takes longer than `LONGEST_S` on the large movie is cancelled, which
-must free its panel within a second; every step runs to its end on the small one. It is no part of `make test`, because
-a busy machine delays an interface that does nothing: that gap is measured and told, too, and so is what napari alone
-needs to make and to remove layers. STALL_PARTS (first,small,large), STALL_SHAPE, STALL_LONGEST_S and STALL_FOLDER
-(keeps the movies) shorten it.
+Bound: the worst gap is at most 150 ms with software rendering, the longest garbage collection in that time taken off:
+Python collects when and where it likes, in whatever thread, and a full collection of napari's objects alone takes some
+160 ms (measured: 360 000 objects). A plugin must not keep Python from it. Imports and first compilations are excepted:
+everything is done once with a small movie before. A step that takes longer than `LONGEST_S` on the large movie is
+cancelled, which must free its panel within a second; every step runs to its end on the small one. It is no part of
+`make test`, because a busy machine delays an interface that does nothing: that gap is measured and told, too, and so is
+what napari alone needs to make and to remove layers. STALL_PARTS (first,small,large), STALL_SHAPE, STALL_LONGEST_S and
+STALL_FOLDER (keeps the movies) shorten it.
 """
 
 from __future__ import annotations
@@ -176,7 +178,8 @@ def test_interface_never_stands_still(make_napari_viewer, movies, tmp_path_facto
         if gap > 0.1 and not what.startswith("first"):
             for stack, n in heart.late.get(what, Counter()).most_common(6):
                 print(f"{what}: {n} × {stack}")
-    wrong = {what: gap for what, (gap, _) in heart.worst.items() if gap > allowed(what)}
+    own = {what: gap - heart.collecting.get(what, 0.0) for what, (gap, _) in heart.worst.items()}
+    wrong = {what: gap for what, gap in own.items() if gap > allowed(what)}
     assert not wrong, f"the interface stood still longer than {BOUND_S} s: {wrong}"
     assert not slow_cancels
 
@@ -203,6 +206,8 @@ def napari_alone(viewer, heart) -> None:
 
 
 def story(viewer, workflow, path, heart, prefix, slow_cancels) -> None:
+    from napari_mufasa.widgets.turns.live import live_of
+
     def press(panel, name, longest=LONGEST_S) -> bool:
         """Press Run; cancel what takes too long, and see that the panel is free at once."""
         longest = longest if prefix.startswith("large") else max(longest, 60)
@@ -241,10 +246,10 @@ def story(viewer, workflow, path, heart, prefix, slow_cancels) -> None:
             show(number)
     show(2)
     press(workflow.step("Denoise"), "denoise")
-    workflow.step("Denoise").method.setCurrentIndex(3)
+    workflow.step("Denoise").form.method.value = "source"
     if viewer.layers[0].data.shape[0] < 500:  # the result is a movie in memory
         press(workflow.step("Denoise"), "camera's inverse")
-    workflow.step("Denoise").method.setCurrentIndex(0)
+    workflow.step("Denoise").form.method.value = "pure-let-movie"
     show(3)
     molecules = workflow.step("Molecules")
     if press(molecules, "extract traces", 4 * LONGEST_S):
@@ -254,12 +259,12 @@ def story(viewer, workflow, path, heart, prefix, slow_cancels) -> None:
                 rest(0.4)
     show(4)
     with heart.during(prefix + "edit the model"):
-        power = workflow.step("Model").parts["excitation"].form.editors["power_density_w_per_cm2"]
+        power = workflow.step("Model").parts["excitation"].form["power_density_w_per_cm2"].native
         for watts in ("31", "33", "30"):
             power.setText(watts)
             power.editingFinished.emit()
             rest(0.3)
-        wait_for(lambda: not workflow.session.live.busy, 30)
+        wait_for(lambda: not live_of(workflow.session).busy, 30)
     show(5)
     compare = workflow.step("Compare")
     if press(compare, "compare"):

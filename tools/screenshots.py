@@ -145,21 +145,27 @@ def show_a_map(panel: Any) -> None:
 
 def settle(workflow: Any) -> None:
     """Wait for the live distance."""
+    from napari_mufasa.widgets.turns.live import live_of
+
     pump(0.4)
-    while workflow.session.live.busy:
+    while live_of(workflow.session).busy:
         pump(0.05)
 
 
 def simulate(viewer: Any, dock: Any) -> Iterator[str]:
     panel = dock.panel
-    panel.source.choose("FF")
-    power = panel.parts["excitation"].form.editors["power_density_w_per_cm2"]
+    panel.form.model.choose("FF")
+    power = panel.parts["excitation"].form["power_density_w_per_cm2"].native
     power.setText("10")
     power.editingFinished.emit()
-    panel.positions.setChecked(True)
     press(panel)
     viewer.layers[-1].visible = True
     yield "simulate"
+
+
+def design(viewer: Any, dock: Any) -> Iterator[str]:
+    press(dock.panel)
+    yield "design"
 
 
 def real(viewer: Any, workflow: Any) -> Iterator[str]:
@@ -208,7 +214,7 @@ def compress(path: Path) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
-    parser.add_argument("--only", nargs="*", choices=["story", "simulate", "real"], default=[])
+    parser.add_argument("--only", nargs="*", choices=["story", "simulate", "design", "real"], default=[])
     parser.add_argument("--theme", choices=["dark", "light"])
     parser.add_argument("--suspects", nargs="*", default=[], help="effects to consider in step Discover (all)")
     args = parser.parse_args()
@@ -223,6 +229,7 @@ def main() -> int:
     scenes: dict[str, tuple[str, Callable[[Any, Any], Iterator[str]]]] = {
         "story": ("MUFASA workflow", story),
         "simulate": ("Simulate", simulate),
+        "design": ("Design", design),
         "real": ("MUFASA workflow", real),
     }
     for name, (widget, scene) in scenes.items():

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.house.imports import arrows, between_rooms, circles, upward
 
 import napari_mufasa
-from tests.house.imports import arrows, between_rooms, circles, upward
 
 ROOT = Path(napari_mufasa.__file__).parent
 
@@ -51,7 +51,8 @@ def test_qt_and_napari_stay_in_the_widgets():
 @pytest.fixture
 def small_house(tmp_path):
     for name, text in {
-        "__init__": "", "errors": "", "model/__init__": "", "model/setup": "from napari_mufasa.errors import MufasaError",
+        "__init__": "", "errors": "", "model/__init__": "",
+        "model/setup": "from napari_mufasa.errors import MufasaError",
         "camera/__init__": "from .detector import expose", "camera/detector": "from napari_mufasa.model import setup",
     }.items():  # fmt: skip
         path = tmp_path / f"{name}.py"

@@ -68,8 +68,9 @@ def run(qtbot):
 @pytest.fixture
 def with_movie(viewer, bright_model, bright_movie):
     """A viewer with the bright movie, chosen, and its model believed."""
+    from tests.widgets.helpers import add_movie
+
     from napari_mufasa.files.layers import movie_space
-    from napari_mufasa.widgets.parts.layers import add_movie
     from napari_mufasa.widgets.turns.session import session_of
 
     layer = add_movie(

@@ -46,25 +46,25 @@ def test_denoise_preview_shows_the_frame_in_view_before_and_after(
 
 def test_denoise_camera_presets_and_residual(with_movie, open_panel, run, bright_movie, bright_model):
     from napari_mufasa import camera as cam
-    from napari_mufasa.widgets.steps.denoise import CAMERAS
+    from napari_mufasa.model.cameras import CAMERAS
 
     panel = open_panel(DenoisePanel, with_movie)
-    panel.residual.setChecked(True)
-    panel.method.setCurrentIndex(1)
+    panel.form.residual.value = True
+    panel.form.method.value = "pure-let"
     run(panel)
     after, taken = with_movie.layers["bright, photons"].data, with_movie.layers["bright, taken away"].data
     before = cam.photons(cam.photoelectrons(bright_movie.movie, bright_model.camera), bright_model.camera)
     np.testing.assert_allclose(np.asarray(taken[7]), (before - after)[7], atol=1e-4)
-    panel.preset.setCurrentText("sCMOS, linear")
-    panel.preset.activated.emit(panel.preset.currentIndex())
+    panel.preset.native.setCurrentText("sCMOS, linear")
+    panel.preset.native.activated.emit(panel.preset.native.currentIndex())
     camera = session_of(with_movie).model.camera
     assert camera.type == "CMOS"
     assert camera.read_noise_e == CAMERAS["sCMOS, linear"]["read_noise_e"]
-    assert panel.excess.isHidden()
+    assert panel.form.excess_noise.native.isHidden()
 
 
 def test_large_results_are_written_to_disk_and_read_when_looked_at(with_movie, open_panel, run, monkeypatch):
-    import napari_mufasa.widgets.steps.denoise as module
+    import napari_mufasa.denoise.viewing as module
 
     panel = open_panel(DenoisePanel, with_movie)
     run(panel)

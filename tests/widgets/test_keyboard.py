@@ -21,8 +21,9 @@ CONTROLS = (QAbstractButton, QLineEdit, QAbstractSpinBox, QComboBox, QAbstractIt
 
 @pytest.fixture
 def workflow(make_napari_viewer, qtbot, bright_model, bright_movie):
+    from tests.widgets.helpers import add_movie
+
     from napari_mufasa.files.layers import movie_space
-    from napari_mufasa.widgets.parts.layers import add_movie
     from napari_mufasa.widgets.turns.session import session_of
 
     viewer = make_napari_viewer(strict_qt="raise", show=True)
@@ -82,9 +83,10 @@ def test_keys_change_the_step_and_run_it(workflow, qtbot):
     qtbot.keyClick(workflow.buttons.button(0), Qt.Key.Key_4, Qt.KeyboardModifier.AltModifier)
     assert STEPS[workflow.stack.currentIndex()] == "Molecules"
     panel = workflow.step("Molecules")
-    panel.threshold.setFocus()
+    threshold = panel.form.threshold_sigma.native
+    threshold.setFocus()
     with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
-        qtbot.keyClick(panel.threshold, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
+        qtbot.keyClick(threshold, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
     assert panel.traces is not None
-    qtbot.keyClick(panel.threshold, Qt.Key.Key_Right, Qt.KeyboardModifier.AltModifier)
+    qtbot.keyClick(threshold, Qt.Key.Key_Right, Qt.KeyboardModifier.AltModifier)
     assert STEPS[workflow.stack.currentIndex()] == "Model"

@@ -10,6 +10,7 @@ import pytest
 
 from napari_mufasa.compare.quick import quick_distance, thinned
 from napari_mufasa.widgets.turns.latest import Latest
+from napari_mufasa.widgets.turns.live import live_of
 from napari_mufasa.widgets.turns.session import session_of
 
 
@@ -59,8 +60,9 @@ def test_error_of_the_work_arrives(latest, qtbot):
 
 
 def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot, run, bright_model, bright_movie):
+    from tests.widgets.helpers import add_movie
+
     from napari_mufasa.files.layers import movie_space
-    from napari_mufasa.widgets.parts.layers import add_movie
 
     viewer = make_napari_viewer(strict_qt="raise", show=True)
     _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
@@ -77,11 +79,11 @@ def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot
     workflow.show_step(3)
     run(workflow.step("Molecules"))
     workflow.show_step(4)
-    live = session.live
+    live = live_of(session)
     settle(live, qtbot)
     true = live.distance
     assert true.w1 < 3 * true.floor.high
-    power = model.parts["excitation"].form.editors["power_density_w_per_cm2"]
+    power = model.parts["excitation"].form["power_density_w_per_cm2"].native
     seen = []
     for watts in ("22", "26", "34"):  # typed faster than anything can be worked out
         power.setText(watts)

@@ -13,7 +13,9 @@ from napari_mufasa.files.layers import get_reader, read_layers
 from napari_mufasa.model.model import Model
 from napari_mufasa.traces import extract_traces
 
-WIDGETS = ("MUFASA workflow", "Simulate", "Denoise", "Extract traces", "Compare", "Discover")
+WIDGETS = (
+    "MUFASA workflow", "Simulate", "Denoise", "Extract traces", "Compare", "Discover", "Calibrate camera", "Design",
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -102,11 +104,11 @@ def test_samples_dark_frames_are_taken_and_never_the_movie(viewer):
     _, workflow = viewer.window.add_plugin_dock_widget("napari-mufasa", "MUFASA workflow")
     session = session_of(viewer)
     assert workflow.session is session
-    chooser = workflow.step("Data").chooser
+    form = workflow.step("Data").form
     dark, movie = viewer.open_sample("napari-mufasa", "hidden_effect")
     assert session.movie_layer is movie
     assert session.dark_layer is dark
-    assert chooser.dark.layer() is dark
+    assert form.dark.value is dark
     viewer.layers.remove(dark)
     assert session.dark_layer is None
     assert session.measurement().dark is None
@@ -137,7 +139,7 @@ def test_preferences_are_those_of_the_manifest_and_are_obeyed(viewer):
     try:
         panel = MoleculesPanel(viewer)
         viewer.window.add_dock_widget(panel)
-        assert panel.threshold.value() == 9.5
+        assert panel.form.threshold_sigma.value == 9.5
     finally:
         settings.steps.threshold_sigma = 6.0
     with pytest.raises(ValueError):

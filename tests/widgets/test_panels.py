@@ -6,8 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from napari_mufasa.widgets.steps.calibrate import CameraPanel
 from napari_mufasa.widgets.steps.compare import ComparePanel
 from napari_mufasa.widgets.steps.denoise import DenoisePanel
+from napari_mufasa.widgets.steps.design import DesignPanel
 from napari_mufasa.widgets.steps.model import ModelPanel
 from napari_mufasa.widgets.steps.simulate import SimulatePanel
 from napari_mufasa.widgets.steps.traces import MoleculesPanel
@@ -25,9 +27,15 @@ def open_panel(qtbot):
     return make
 
 
-def type_into(editor, text):
-    editor.setText(text)
-    editor.editingFinished.emit()
+def type_into(edit, text):
+    edit.native.setText(text)
+    edit.native.editingFinished.emit()
+
+
+def pick(edit, choice):
+    """Choose from a list, as a user does."""
+    edit.native.setCurrentText(choice)
+    edit.native.activated.emit(edit.native.currentIndex())
 
 
 def test_simulate_gives_the_movie_of_the_values_typed(viewer, open_panel, run, bright_model):
@@ -35,11 +43,11 @@ def test_simulate_gives_the_movie_of_the_values_typed(viewer, open_panel, run, b
 
     panel = open_panel(SimulatePanel, viewer)
     session_of(viewer).set_model(bright_model, "test")
-    type_into(panel.acquisition.form.editors["n_frames"], "25")
-    type_into(panel.acquisition.form.editors["shape_px"], "40 x 30")
-    type_into(panel.sample.form.editors["n_molecules"], "5")
-    panel.seed.setValue(11)
-    panel.optical.setChecked(True)
+    type_into(panel.parts["acquisition"].form["n_frames"], "25")
+    type_into(panel.parts["acquisition"].form["shape_px"], "40 x 30")
+    type_into(panel.parts["sample"].form["n_molecules"], "5")
+    panel.form.seed.value = 11
+    panel.form.optical.value = True
     run(panel)
     movie = session_of(viewer).movie_layer
     wanted = bright_model.with_values(
@@ -55,21 +63,21 @@ def test_simulate_gives_the_movie_of_the_values_typed(viewer, open_panel, run, b
 def test_wrong_value_is_told_and_not_taken(viewer, open_panel):
     panel = open_panel(SimulatePanel, viewer)
     before = session_of(viewer).model
-    type_into(panel.acquisition.form.editors["frame_length_s"], "-3")
+    type_into(panel.parts["acquisition"].form["frame_length_s"], "-3")
     assert session_of(viewer).model == before
-    assert "frame_length_s" in panel.acquisition.problem.text()
-    type_into(panel.acquisition.form.editors["frame_length_s"], "soon")
+    assert "frame_length_s" in panel.parts["acquisition"].problem.text()
+    type_into(panel.parts["acquisition"].form["frame_length_s"], "soon")
     assert session_of(viewer).model == before
-    type_into(panel.acquisition.form.editors["frame_length_s"], "0.05")
+    type_into(panel.parts["acquisition"].form["frame_length_s"], "0.05")
     assert session_of(viewer).model.acquisition.frame_length_s == 0.05
-    assert panel.acquisition.problem.isHidden()
+    assert panel.parts["acquisition"].problem.isHidden()
 
 
 def test_denoise_gives_what_the_function_gives(with_movie, open_panel, run, bright_model, bright_movie):
     from napari_mufasa.denoise import denoise
 
     panel = open_panel(DenoisePanel, with_movie)
-    panel.method.setCurrentIndex(1)
+    panel.form.method.value = "pure-let"
     run(panel)
     layer = with_movie.layers[-1]
     assert layer.data.dtype == np.float32
@@ -103,7 +111,7 @@ def test_points_deleted_or_of_an_earlier_run_still_show_their_own_trace(with_mov
     panel = open_panel(MoleculesPanel, with_movie)
     run(panel)
     first, first_traces = panel.points, panel.traces
-    panel.profile.setCurrentIndex(2)  # brightest pixel
+    panel.form.profile.value = "brightest_pixel"
     run(panel)
     with_movie.layers.selection.active = first
     first.selected_data = {0}
@@ -138,7 +146,7 @@ def test_denoised_movie_is_read_in_photons_and_never_taken_for_counts(with_movie
 
 def test_traces_are_saved_as_the_contract_says(with_movie, open_panel, run, tmp_path):
     panel = open_panel(MoleculesPanel, with_movie)
-    panel.best.setValue(4)
+    panel.form.best.value = 4
     run(panel)
     panel.save(str(tmp_path))
     traces, molecules = pd.read_csv(tmp_path / "traces.csv"), pd.read_csv(tmp_path / "molecules.csv")
@@ -149,13 +157,13 @@ def test_traces_are_saved_as_the_contract_says(with_movie, open_panel, run, tmp_
 
 def test_compare_says_how_near_the_true_model_is(with_movie, open_panel, run):
     panel = open_panel(ComparePanel, with_movie)
-    panel.fit.setChecked(False)
+    panel.form.fit.value = False
     run(panel)
     w1 = panel.comparison.w1
     assert w1["mufasa"] < w1["sofi"]
     assert panel.distances.drawn
-    for i in range(panel.which.count()):
-        panel.which.setCurrentIndex(i)
+    for name in panel.which.choices:
+        panel.which.value = name
         assert len(panel.curves.data) > 1
 
 
@@ -175,19 +183,17 @@ def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
     session = session_of(viewer)
     panel.source.choose("FF")
     assert "6725" in panel.derived.text()  # SPEC.md §2: k01 = 6 724.90 per second
-    panel.effects.kinds.setCurrentIndex(panel.effects.kinds.findData("stage_drift"))
+    panel.effects.kinds.value = "stage_drift"
     panel.effects.add_button.click()
     assert [effect.kind for effect in session.model.effects] == ["stage_drift"]
-    type_into(panel.effects.form.editors["distance_px"], "2.5")
+    type_into(panel.effects.form["distance_px"], "2.5")
     assert session.model.effects[0].distance_px == 2.5
 
     def rows():
-        return {n for n, editor in panel.effects.form.editors.items() if editor.isVisibleTo(panel.effects.form)}
+        return {edit.name for edit in panel.effects.form if edit.native.isVisibleTo(panel.effects.form.native)}
 
     assert rows() == {"distance_px", "direction_deg", "form"}  # what only other forms use is not shown
-    form = panel.effects.form.editors["form"]
-    form.setCurrentText("step")
-    form.activated.emit(form.currentIndex())
+    pick(panel.effects.form["form"], "step")
     assert rows() == {"distance_px", "direction_deg", "step_at", "form"}
     from qtpy.QtCore import Qt
 
@@ -195,7 +201,7 @@ def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
     assert session.model.effects == ()
     panel.effects.list.item(0).setCheckState(Qt.CheckState.Checked)
     assert session.model.effects[0].distance_px == 2.5  # switched off, not forgotten
-    type_into(panel.parts["excitation"].form.editors["power_density_w_per_cm2"], "4")
+    type_into(panel.parts["excitation"].form["power_density_w_per_cm2"], "4")
     assert "13450" in panel.derived.text()
 
 
@@ -203,12 +209,10 @@ def test_camera_type_brings_or_takes_the_em_gain(viewer, open_panel):
     panel = open_panel(ModelPanel, viewer)
     session = session_of(viewer)
     panel.source.choose("PALM")
-    kind = panel.parts["camera"].form.editors["type"]
-    kind.setCurrentText("EMCCD")
-    kind.activated.emit(kind.currentIndex())
+    kind = panel.parts["camera"].form["type"]
+    pick(kind, "EMCCD")
     assert session.model.camera.em_gain == 300
-    kind.setCurrentText("CMOS")
-    kind.activated.emit(kind.currentIndex())
+    pick(kind, "CMOS")
     assert session.model.camera.em_gain is None
 
 
@@ -219,7 +223,34 @@ def test_workflow_shares_its_values_between_steps(with_movie, qtbot):
         widget.buttons.button(index).click()
         assert widget.stack.currentIndex() == index
         assert widget.step(name).isVisibleTo(widget)
-    camera = widget.step("Camera").editor.form.editors["read_noise_e"]
+    camera = widget.step("Camera").editor.form["read_noise_e"]
     type_into(camera, "33")
-    assert widget.step("Model").parts["camera"].form.value("read_noise_e") == 33
+    assert widget.step("Model").parts["camera"].form.read("read_noise_e") == 33
     assert widget.step("Denoise").session.model.camera.read_noise_e == 33
+
+
+def test_design_shows_a_column_for_each_value(viewer, open_panel, run, tmp_path, bright_model):
+    from napari_mufasa.design import design
+
+    panel = open_panel(DesignPanel, viewer)
+    session_of(viewer).set_model(bright_model, "test")
+    type_into(panel.form["values"], "1, 1000")
+    run(panel)
+    wanted = design(bright_model, {"excitation.power_density_w_per_cm2": [1.0, 1000.0]})
+    assert [panel.table.horizontalHeaderItem(i).text() for i in (1, 2)] == ["1", "1000"]
+    assert float(panel.table.item(0, 2).text()) == pytest.approx(wanted["k01_per_s"][1], rel=5e-3)
+    assert panel.table.rowCount() == len(wanted.columns) - 1
+    panel.save(str(tmp_path / "design.csv"))
+    assert pd.read_csv(tmp_path / "design.csv")["snr_spot"].to_numpy() == pytest.approx(wanted["snr_spot"].to_numpy())
+
+
+def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, bright_movie, bright_model):
+    from napari_mufasa.calibrate import calibrate
+
+    panel = open_panel(CameraPanel, with_movie)
+    panel.form.baseline_adu.value, panel.form.read_noise_adu.value = 367.0, 82.0
+    run(panel)
+    wanted = calibrate(bright_movie.movie, baseline_adu=367.0, read_noise_adu=82.0).camera
+    assert session_of(with_movie).model.camera == wanted
+    assert panel.editor.form.read("electrons_per_adu") == wanted.electrons_per_adu
+    assert "367" in panel.result.text() and "(measured)" in session_of(with_movie).model_origin

@@ -31,8 +31,9 @@ def click(viewer, qtbot, points, index):
 
 @pytest.mark.parametrize("mode", ["select", "pan_zoom"])
 def test_mouse_click_shows_the_trace(make_napari_viewer, qtbot, run, bright_model, bright_movie, mode):
+    from tests.widgets.helpers import add_movie
+
     from napari_mufasa.files.layers import movie_space
-    from napari_mufasa.widgets.parts.layers import add_movie
     from napari_mufasa.widgets.steps.traces import MoleculesPanel
 
     viewer = make_napari_viewer(strict_qt="raise", show=True)

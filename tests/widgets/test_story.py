@@ -25,7 +25,7 @@ def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_pat
 
     # 1 Data: the sample brings its believed model and its dark frames
     data = workflow.step("Data")
-    data.sample.setCurrentText("Sample: hidden effect")
+    data.sample.value = "hidden_effect"
     with qtbot.waitSignal(data.run_bar.finished, timeout=900_000):
         data.sample_button.click()
     movie = session.movie_layer
@@ -35,8 +35,7 @@ def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_pat
 
     # 2 Camera: what is set here holds in every later step
     step(workflow, "Camera")
-    gain = workflow.step("Camera").editor.form.editors["em_gain"]
-    assert gain.value() == 300
+    assert workflow.step("Camera").editor.form.read("em_gain") == 300
 
     # 3 Denoise
     step(workflow, "Denoise")
@@ -56,13 +55,13 @@ def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_pat
 
     # 5 Model: every parameter is there, nothing is changed
     step(workflow, "Model")
-    assert workflow.step("Model").parts["excitation"].form.editors["wavelength_nm"].value() == 488
+    assert workflow.step("Model").parts["excitation"].form.read("wavelength_nm") == 488
     assert session.model == believed
 
     # 6 Compare: the believed model is nearer than the two-state model
     step(workflow, "Compare")
     compare = workflow.step("Compare")
-    compare.fit.setChecked(False)
+    compare.form.fit.value = False
     run(compare, timeout=600_000)
     assert compare.comparison.w1["mufasa"] < compare.comparison.w1["sofi"]
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from qtpy.QtCore import QSize, Qt
 from qtpy.QtWidgets import (
     QButtonGroup,
     QHBoxLayout,
-    QPushButton,
     QScrollArea,
     QSizePolicy,
     QStackedWidget,
@@ -18,7 +18,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_mufasa.widgets.parts.panel import shortcut
+from napari_mufasa.widgets.parts.panel import button, shortcut
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
 
 if TYPE_CHECKING:
@@ -47,27 +47,24 @@ class WorkflowWidget(QWidget):
         row.setSpacing(1)
         self.stack = QStackedWidget()
         for number, name in enumerate(STEPS):
-            button = QToolButton()
-            button.setText(f"{number + 1}\n{name}")
-            button.setCheckable(True)
-            button.setToolTip(f"Step {number + 1}: {name} (Alt+{number + 1})")
-            button.setAccessibleName(f"Step {number + 1}: {name}")
-            button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            made = QToolButton()
+            made.setText(f"{number + 1}\n{name}")
+            made.setCheckable(True)
+            made.setToolTip(f"Step {number + 1}: {name} (Alt+{number + 1})")
+            made.setAccessibleName(f"Step {number + 1}: {name}")
+            made.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
             shortcut(self, f"Alt+{number + 1}", partial(self.show_step, number))
-            button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-            button.setMinimumWidth(button.fontMetrics().horizontalAdvance(name) + 6)
-            button.setStyleSheet(STEP_STYLE)
-            self.buttons.addButton(button, number)
-            row.addWidget(button, 1)
+            made.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+            made.setMinimumWidth(made.fontMetrics().horizontalAdvance(name) + 6)
+            made.setStyleSheet(STEP_STYLE)
+            self.buttons.addButton(made, number)
+            row.addWidget(made, 1)
             self.stack.addWidget(QWidget())
         self.buttons.idClicked.connect(self.show_step)
-        self.back_button, self.next_button = QPushButton("‹ Back"), QPushButton("Next ›")
-        self.back_button.clicked.connect(lambda: self.show_step(self.stack.currentIndex() - 1))
-        self.next_button.clicked.connect(lambda: self.show_step(self.stack.currentIndex() + 1))
-        self.back_button.setToolTip("Step before (Alt+Left)")
-        self.next_button.setToolTip("Next step (Alt+Right)")
-        shortcut(self, "Alt+Left", lambda: self.show_step(self.stack.currentIndex() - 1))
-        shortcut(self, "Alt+Right", lambda: self.show_step(self.stack.currentIndex() + 1))
+        self.back_button = button("‹ Back", partial(self.go, -1), "Step before (Alt+Left)")
+        self.next_button = button("Next ›", partial(self.go, 1), "Next step (Alt+Right)")
+        shortcut(self, "Alt+Left", partial(self.go, -1))
+        shortcut(self, "Alt+Right", partial(self.go, 1))
         bottom = QHBoxLayout()
         bottom.addWidget(self.back_button)
         bottom.addStretch(1)
@@ -95,32 +92,30 @@ class WorkflowWidget(QWidget):
             self.stack.insertWidget(index, scrolled(panel))
         return self.steps[name]
 
+    def go(self, by: int) -> None:
+        self.show_step(self.stack.currentIndex() + by)
+
     def show_step(self, index: int) -> None:
         index = max(0, min(index, len(STEPS) - 1))
         self.step(STEPS[index])
         self.stack.setCurrentIndex(index)
-        button: Any = self.buttons.button(index)
-        button.setChecked(True)
+        chosen: Any = self.buttons.button(index)
+        chosen.setChecked(True)
         self.back_button.setEnabled(index > 0)
         self.next_button.setEnabled(index < len(STEPS) - 1)
 
 
+HOMES = {
+    "Data": "data:DataPanel", "Camera": "calibrate:CameraPanel", "Denoise": "denoise:DenoisePanel",
+    "Molecules": "traces:MoleculesPanel", "Model": "model:ModelPanel", "Compare": "compare:ComparePanel",
+    "Discover": "discover:DiscoverPanel", "Simulate": "simulate:SimulatePanel", "Design": "design:DesignPanel",
+}  # fmt: skip
+
+
 def panel_class(name: str) -> Any:
     """The panel of a step; imported when it is shown."""
-    from importlib import import_module
-
-    homes = {
-        "Data": ("data", "DataPanel"),
-        "Camera": ("data", "CameraPanel"),
-        "Simulate": ("simulate", "SimulatePanel"),
-        "Denoise": ("denoise", "DenoisePanel"),
-        "Molecules": ("traces", "MoleculesPanel"),
-        "Model": ("model", "ModelPanel"),
-        "Compare": ("compare", "ComparePanel"),
-        "Discover": ("discover", "DiscoverPanel"),
-    }
-    module, name = homes[name]
-    return getattr(import_module(f"napari_mufasa.widgets.steps.{module}"), name)
+    module, _, kind = HOMES[name].partition(":")
+    return getattr(import_module(f"napari_mufasa.widgets.steps.{module}"), kind)
 
 
 def scrolled(panel: QWidget) -> QScrollArea:
@@ -158,21 +153,11 @@ class _Single(QWidget):
         return QSize(420, 700)
 
 
-class SimulateWidget(_Single):
-    step_name = "Simulate"
+def single(step: str) -> type[_Single]:
+    """The dock of a step, for the manifest."""
+    return type(f"{step}Widget", (_Single,), {"step_name": step})
 
 
-class DenoiseWidget(_Single):
-    step_name = "Denoise"
-
-
-class ExtractTracesWidget(_Single):
-    step_name = "Molecules"
-
-
-class CompareWidget(_Single):
-    step_name = "Compare"
-
-
-class DiscoverWidget(_Single):
-    step_name = "Discover"
+SimulateWidget, DenoiseWidget, ExtractTracesWidget = single("Simulate"), single("Denoise"), single("Molecules")
+CompareWidget, DiscoverWidget = single("Compare"), single("Discover")
+CalibrateWidget, DesignWidget = single("Camera"), single("Design")

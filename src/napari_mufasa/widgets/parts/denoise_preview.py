@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from qtpy.QtCore import Qt, QTimer
-from qtpy.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QSlider, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QCheckBox, QHBoxLayout, QSlider, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.movies import METADATA_KEY
-from napari_mufasa.widgets.parts.layers import PLACE, like
+from napari_mufasa.widgets.parts.edits import PLACE
+from napari_mufasa.widgets.parts.layers import like
+from napari_mufasa.widgets.parts.panel import boxed, wrapped
 from napari_mufasa.widgets.turns.gently import NEXT_TURN_MS, gently
 from napari_mufasa.widgets.turns.jobs import report_error
 from napari_mufasa.widgets.turns.latest import Latest
@@ -46,17 +48,13 @@ class PreviewBox(QWidget):
         self.split.setValue(50)
         self.split.setToolTip("Left of here the recorded frame, right of it the denoised one")
         self.split.setAccessibleName("Border between before and after")
-        self.split.setVisible(False)
-        self.words = QLabel()
-        self.words.setWordWrap(True)
-        self.words.setVisible(False)
-        row = QHBoxLayout()
-        row.addWidget(self.switch)
-        row.addWidget(self.split, 1)
+        self.words = wrapped()
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(row)
+        layout.addWidget(boxed((self.switch, self.split), QHBoxLayout()))
         layout.addWidget(self.words)
+        self.split.hide()
+        self.words.hide()
         self.switch.toggled.connect(self._on_switched)
         self.split.valueChanged.connect(self._show)
         self._dims = session.viewer.dims

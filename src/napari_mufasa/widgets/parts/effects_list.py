@@ -4,25 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from qtpy.QtCore import Qt
-from qtpy.QtWidgets import (
-    QComboBox,
-    QHBoxLayout,
-    QLabel,
-    QListWidget,
-    QListWidgetItem,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from magicgui.widgets import ComboBox
+from qtpy.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
 from napari_mufasa.effects import Effect, catalogue
-from napari_mufasa.widgets.parts.fields import Form
-from napari_mufasa.widgets.parts.layers import slim
-from napari_mufasa.widgets.turns.jobs import Quiet
+from napari_mufasa.widgets.parts.forms import PartForm, dress_one
+from napari_mufasa.widgets.parts.panel import boxed, button, wrapped
+from napari_mufasa.widgets.parts.tables import EffectTicks
 from napari_mufasa.widgets.turns.session import Session
-
-KIND = Qt.ItemDataRole.UserRole
 
 
 class EffectsList(QWidget):
@@ -32,35 +21,19 @@ class EffectsList(QWidget):
         super().__init__()
         self.session = session
         self._off: dict[str, Effect] = {}
-        self._quiet = Quiet(self)
-        self.list = QListWidget()
-        self.list.setMaximumHeight(84)
-        self.list.setAccessibleName("Effects in the model")
-        self.list.itemChanged.connect(self._on_ticked)
+        self.list = EffectTicks("Effects in the model", 84)
+        self.list.ticked.connect(self._on_ticked)
         self.list.currentItemChanged.connect(lambda *_: self._show_form())
-        self.kinds = QComboBox()
-        self.kinds.setAccessibleName("Effect to add")
-        slim(self.kinds)
-        self.kinds.setToolTip("Effects that make sense for this model")
-        self.add_button, self.remove_button = QPushButton("Add"), QPushButton("Remove")
-        self.add_button.clicked.connect(lambda: self.add(self.kinds.currentData()))
-        self.remove_button.clicked.connect(self._remove)
-        self.words = QLabel()
-        self.words.setWordWrap(True)
-        self.problem = QLabel()
-        self.problem.setWordWrap(True)
-        self.problem.setStyleSheet("QLabel { color: #e0605e; }")
-        self.form: Form | None = None
-        row = QHBoxLayout()
-        row.addWidget(self.kinds, 1)
-        row.addWidget(self.add_button)
-        row.addWidget(self.remove_button)
+        self.kinds: Any = dress_one(ComboBox(label="Effect to add", tooltip="Effects that make sense for this model"))
+        self.add_button = button("Add", lambda: self.add(str(self.kinds.value)))
+        self.remove_button = button("Remove", self._remove)
+        self.words, self.problem = wrapped(), wrapped(error=True)
+        self.form: PartForm | None = None
         self._layout = QVBoxLayout(self)
         self._layout.setContentsMargins(4, 2, 4, 4)
-        self._layout.addWidget(self.list)
-        self._layout.addLayout(row)
-        self._layout.addWidget(self.words)
-        self._layout.addWidget(self.problem)
+        row = boxed((self.kinds.native, self.add_button, self.remove_button), QHBoxLayout())
+        for widget in (self.list, row, self.words, self.problem):
+            self._layout.addWidget(widget)
         session.model_changed.connect(self.refresh)
         self.refresh()
 
@@ -68,94 +41,62 @@ class EffectsList(QWidget):
         model = self.session.model
         on = {effect.kind: effect for effect in model.effects}
         self._off = {kind: effect for kind, effect in self._off.items() if kind not in on}
-        selected = self._selected()
-        with self._quiet:
-            self.list.clear()
-            for kind, effect in {**on, **self._off}.items():
-                item = QListWidgetItem(type(effect).title or kind)
-                item.setData(KIND, kind)
-                item.setToolTip(type(effect).what_it_does)
-                item.setFlags(item.flags() | Qt.ItemFlag.ItemIsUserCheckable)
-                item.setCheckState(Qt.CheckState.Checked if kind in on else Qt.CheckState.Unchecked)
-                self.list.addItem(item)
-                if kind == selected:
-                    self.list.setCurrentItem(item)
-            chosen = self.kinds.currentData()
-            self.kinds.clear()
-            for kind, effect_class in catalogue().items():
-                if effect_class.suits(model) and kind not in on:
-                    self.kinds.addItem(effect_class.title or kind, kind)
-            self.kinds.setCurrentIndex(max(0, self.kinds.findData(chosen)))
+        self.list.fill({kind: type(effect) for kind, effect in {**on, **self._off}.items()}, on)
+        self.kinds.choices = [(e.title or k, k) for k, e in catalogue().items() if e.suits(model) and k not in on]
         self._show_form()
 
     def add(self, kind: str) -> None:
         """Put an effect with its default parameters into the model."""
         effect = self._off.pop(kind, None) or catalogue()[kind]()
         self.session.set_model(self.session.model.with_effects(effect))
-        for i in range(self.list.count()):
-            item: Any = self.list.item(i)
-            if item.data(KIND) == kind:
-                self.list.setCurrentRow(i)
+        self.list.setCurrentItem(self.list.rows[kind])
 
-    def _selected(self) -> str | None:
-        item = self.list.currentItem()
-        return str(item.data(KIND)) if item is not None else None
-
-    def _effect(self, kind: str) -> Effect | None:
-        return next((e for e in self.session.model.effects if e.kind == kind), self._off.get(kind))
+    def _effect(self, kind: str | None) -> Any:
+        return next((e for e in self.session.model.effects if e.kind == kind), self._off.get(kind or ""))
 
     def _without(self, kind: str) -> None:
         model = self.session.model
         self.session.set_model(model.model_copy(update={"effects": tuple(e for e in model.effects if e.kind != kind)}))
 
     def _remove(self) -> None:
-        kind = self._selected()
+        kind = self.list.kind
         if kind is not None:
             self._off.pop(kind, None)
             self._without(kind)
             self.refresh()
 
-    def _on_ticked(self, item: QListWidgetItem) -> None:
-        if self._quiet:
-            return
-        kind = str(item.data(KIND))
+    def _on_ticked(self, kind: str, on: bool) -> None:
         effect = self._effect(kind)
-        if effect is None:
-            return
-        if item.checkState() == Qt.CheckState.Checked:
+        if effect is not None and on:
             self._off.pop(kind, None)
             self.session.set_model(self.session.model.with_effects(effect))
-        else:
+        elif effect is not None:
             self._off[kind] = effect
             self._without(kind)
 
     def _show_form(self) -> None:
-        if self._quiet:
-            return
-        kind = self._selected()
-        effect = self._effect(kind) if kind is not None else None
+        effect = self._effect(self.list.kind)
         if self.form is not None:
-            self._layout.removeWidget(self.form)
-            self.form.deleteLater()
+            self._layout.removeWidget(self.form.native)
+            self.form.native.deleteLater()
             self.form = None
         self.problem.setVisible(False)
         self.words.setVisible(effect is not None)
         if effect is None:
             return
         self.words.setText(f"{effect.what_it_is} {effect.what_it_does}")
-        self.form = Form(type(effect))
+        self.form = PartForm(type(effect))
         self.form.show_values(effect)
+        self._layout.addWidget(self.form.native)
         _show_rows(self.form, effect)
         self.form.edited.connect(self._on_edited)
-        self._layout.addWidget(self.form)
 
     def _on_edited(self, name: str) -> None:
-        kind = self._selected()
-        effect: Any = self._effect(kind) if kind is not None else None
+        effect = self._effect(self.list.kind)
         if effect is None or self.form is None:
             return
         try:
-            values = {n: getattr(effect, n) for n in type(effect).model_fields} | {name: self.form.value(name)}
+            values = {n: getattr(effect, n) for n in type(effect).model_fields} | {name: self.form.read(name)}
             changed = type(effect).model_validate(values)
         except ValueError as error:
             self.form.mark(name, True)
@@ -163,14 +104,14 @@ class EffectsList(QWidget):
             self.problem.setText(f"{name}: {first}")
             self.problem.setVisible(True)
             return
-        if kind in self._off:
-            self._off[kind] = changed
+        if effect.kind in self._off:
+            self._off[effect.kind] = changed
             _show_rows(self.form, changed)
         else:
             self.session.set_model(self.session.model.with_effects(changed))
 
 
-def _show_rows(form: Form, effect: Effect) -> None:
+def _show_rows(form: PartForm, effect: Effect) -> None:
     """Only what matters in the effect's form."""
-    for name in form.editors:
-        form.show_row(name, effect.matters(name))
+    for widget in form:
+        form.show_row(widget.name, effect.matters(widget.name))

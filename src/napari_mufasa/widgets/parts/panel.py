@@ -1,69 +1,36 @@
-"""What all step panels have in common: a viewer, its session, a run bar, a heading in words."""
+"""What all step panels have in common: a viewer, its session, a form, a run bar, a heading in words."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from qtpy.QtCore import Qt
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined]
-from qtpy.QtWidgets import (
-    QFormLayout,
-    QHBoxLayout,
-    QLabel,
-    QSizePolicy,
-    QSpinBox,
-    QTabWidget,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QFileDialog, QLabel, QPushButton, QSizePolicy, QTabWidget, QVBoxLayout, QWidget
+from superqt import QCollapsible
 
-from napari_mufasa.widgets.parts.layers import LayerCombo
-from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.turns.jobs import RunBar, Work, guarded
-from napari_mufasa.widgets.turns.session import Session, session_of, unwrapped
+from napari_mufasa.widgets.turns.session import Measurement, measurement_of, session_of, unwrapped
+from napari_mufasa.widgets.turns.steering import steered
 
 if TYPE_CHECKING:
+    from magicgui.widgets import FunctionGui
     from napari.viewer import Viewer
 
 
-class MovieChooser(QWidget):
-    """Which layers are the movie and its dark frames; one choice for all panels of the viewer."""
-
-    def __init__(self, session: Session, dark: bool = True) -> None:
-        super().__init__()
-        self.session = session
-        viewer = session.viewer
-        self.movie = LayerCombo(viewer)
-        self.movie.setToolTip("The movie, an Image layer (frame, y, x)")
-        self.movie.chosen.connect(session.set_movie)
-        form = QFormLayout(self)
-        form.setContentsMargins(0, 0, 0, 0)
-        form.addRow("Movie", self.movie)
-        self.dark: LayerCombo | None = None
-        if dark:
-            self.dark = LayerCombo(viewer, none_label="none")
-            self.dark.setToolTip("Frames without light, recorded with the same camera settings")
-            self.dark.chosen.connect(session.set_dark)
-            form.addRow("Dark frames", self.dark)
-        session.movie_changed.connect(self.refresh)
-        if session.movie_layer is None and self.movie.layer() is not None:
-            session.set_movie(self.movie.layer())
-        self.refresh()
-
-    def refresh(self) -> None:
-        if self.session.movie_layer is not None:
-            self.movie.choose(self.session.movie_layer)
-        if self.dark is not None:
-            self.dark.choose(self.session.dark_layer)
-
-
 class Panel(QWidget):
-    """A step: `words` say what it does; `run_bar` runs it in the background."""
+    """A step in a dock: `words` say what it does, `form` holds its function's parameters, `run_bar` runs it.
 
-    title = ""
+    Subclasses name the form's factory and say what to do with the results.
+    """
+
     words = ""
     run_label = "Run"
+    running = "Running"  # what is said meanwhile
+    form_factory: ClassVar[Callable[..., FunctionGui[..., Any]] | None] = None
+    hidden: tuple[str, ...] = ("dark_frames",)  # parameters that are set elsewhere
+    needs = ""  # "movie", or its "counts": without it the run is refused at once
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__()
@@ -73,30 +40,82 @@ class Panel(QWidget):
         self.column.setContentsMargins(6, 6, 6, 6)
         self.column.setSpacing(6)
         if self.words:
-            label = QLabel(self.words)
-            label.setWordWrap(True)
-            self.column.addWidget(label)
-        self.run_bar = RunBar(self.run_label)
+            self.column.addWidget(wrapped(self.words))
+        self.run_bar = RunBar(self.run_label, parent=self)
         self.run_bar.clicked.connect(self.run)
         self.run_bar.run_button.setToolTip(f"{self.words} (Ctrl+Return)".strip())
         shortcut(self, "Ctrl+Return", self.run_bar.run_button.click)
         shortcut(self, "Escape", self.run_bar.cancel)
+        factory = type(self).form_factory
+        self.form: Any = None
+        if factory is not None:
+            self.form = factory(self.viewer, call_button=False)
+            for name in self.hidden:
+                if name in self.form.asdict():
+                    self.form[name].visible = False
         self.build()
 
     def build(self) -> None:
-        """Fill `column`."""
-        raise NotImplementedError(f"{type(self).__name__} has no build()")
+        """Fill `column`: at least with the form and the run bar."""
+        self.add(self.form.native, self.run_bar)
+        self.column.addStretch(1)
+
+    def add(self, *widgets: QWidget) -> None:
+        for widget in widgets:
+            self.column.addWidget(widget)
 
     def run(self) -> None:
         """What the Run button does; bad input becomes a notification."""
         guarded(self.run_bar, self.prepare)
 
     def prepare(self) -> None:
-        """Read the settings and start the work with `start`."""
-        raise NotImplementedError(f"{type(self).__name__} has no prepare()")
+        """Check the settings and start the work; the step's function on the form's values, unless it is overridden."""
+        if self.needs:
+            measurement = self.measurement()
+            if self.needs == "counts":
+                measurement.recorded()
+        self.call(self.running, self.take)
+
+    def take(self, result: Any) -> Any:
+        """What is done with the result, in the interface's thread; a generator where there is much to do."""
+
+    def call(self, title: str, done: Any, **changes: Any) -> None:
+        """Run the step's function in the background on the form's values."""
+        values = self.form.asdict() | changes
+        function = self.form.__wrapped__
+
+        def work(progress: Any, cancel: Any) -> Any:
+            with steered(progress, cancel):
+                return function(**values)
+
+        self.start(title, work, done)
+
+    def measurement(self) -> Measurement:
+        """Movie and dark frames of the form; raises `MufasaError` that says what to choose."""
+        return measurement_of(*(self.form.asdict().get(name) for name in ("movie", "dark", "dark_frames")))
 
     def start(self, title: str, work: Work, done: Any) -> None:
         self.run_bar.start(title, work, done)
+
+    def ask_where(self, caption: str, save: Callable[[str], None], name: str = "") -> None:
+        """Ask for a file to write, as `name`, or else for a folder, and save there."""
+        path = QFileDialog.getSaveFileName(self, caption, name)[0] if name else ""
+        path = path if name else QFileDialog.getExistingDirectory(self, caption)
+        if path:
+            guarded(self.run_bar, lambda: save(path))
+
+
+class Tabs(QTabWidget):
+    """Tabs that take what height there is: their pages' wishes would make the panel scroll."""
+
+    def __init__(self, at_least: int, pages: dict[str, QWidget]) -> None:
+        super().__init__()
+        takes_the_rest(self, at_least)
+        for name, page in pages.items():
+            self.addTab(page, name)
+
+    def hasHeightForWidth(self) -> bool:
+        return False
 
 
 def shortcut(owner: QWidget, keys: str, action: Callable[[], Any]) -> None:
@@ -106,33 +125,48 @@ def shortcut(owner: QWidget, keys: str, action: Callable[[], Any]) -> None:
     made.activated.connect(action)
 
 
-class Tabs(QTabWidget):
-    """Tabs that take what height there is: their pages' wishes would make the panel scroll."""
-
-    def __init__(self, at_least: int) -> None:
-        super().__init__()
-        takes_the_rest(self, at_least)
-
-    def hasHeightForWidth(self) -> bool:
-        return False
-
-
 def takes_the_rest(widget: QWidget, at_least: int) -> None:
     """Let a part of a panel have the height that is left, and scroll only below `at_least` pixels."""
     widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
     widget.setMinimumHeight(at_least)
 
 
-def seed_row() -> tuple[QSpinBox, QHBoxLayout]:
-    """A seed and its label in a row."""
-    seed = QSpinBox()
-    seed.setRange(0, 2**31 - 1)
-    seed.setValue(int(preference("steps.seed")))
-    seed.setToolTip("The same seed gives the same answer")
-    label = QLabel("Seed")
-    label.setBuddy(seed)
-    row = QHBoxLayout()
-    row.addWidget(label)
-    row.addWidget(seed)
-    row.addStretch(1)
-    return seed, row
+def wrapped(text: str = "", error: bool = False) -> QLabel:
+    """A line of text that is broken where the dock ends."""
+    label = QLabel(text)
+    label.setWordWrap(True)
+    if error:
+        label.setStyleSheet("QLabel { color: #e0605e; }")
+    return label
+
+
+def button(text: str, action: Callable[[], Any], tooltip: str = "", enabled: bool = True) -> QPushButton:
+    made = QPushButton(text)
+    made.setToolTip(tooltip)
+    made.clicked.connect(lambda: action())
+    made.setEnabled(enabled)
+    return made
+
+
+def boxed(items: Iterable[QWidget], layout: Any, margins: tuple[int, int, int, int] = (0, 0, 0, 0)) -> QWidget:
+    """A widget with others in it, one after the other; the first takes the room of a row."""
+    made = QWidget()
+    layout.setContentsMargins(*margins)
+    for item in items:
+        layout.addWidget(item)
+    made.setLayout(layout)
+    return made
+
+
+def section(title: str, content: QWidget, is_open: bool = False) -> QCollapsible:
+    """A part of a panel that folds away."""
+    folding = QCollapsible(title)
+    folding.setDuration(0)  # animations make the layout jump
+    folding.setCollapsedIcon("▸")
+    folding.setExpandedIcon("▾")
+    folding.addWidget(content)
+    layout: Any = folding.layout()
+    layout.setContentsMargins(0, 0, 0, 0)
+    if is_open:
+        folding.expand(animate=False)
+    return folding

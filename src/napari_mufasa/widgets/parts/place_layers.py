@@ -9,7 +9,9 @@ import numpy as np
 
 from napari_mufasa.discover.places import MOLECULE_WORDS, WORDS, Places, place_of
 from napari_mufasa.files.movies import METADATA_KEY
-from napari_mufasa.widgets.parts.layers import PLACE, add_movie, points_on
+from napari_mufasa.report.lines import map_line, molecules_line
+from napari_mufasa.widgets.parts.edits import PLACE
+from napari_mufasa.widgets.parts.layers import movie_layer, points_on, space_of
 from napari_mufasa.widgets.turns.gently import gently, without_labels
 
 if TYPE_CHECKING:
@@ -18,6 +20,42 @@ if TYPE_CHECKING:
 
 SD_SHOWN = 6.0  # the colours' ends
 GAP_PX = 4
+
+
+def map_of(name: str, places: Places, movie: Image, first_frame: int = 0) -> Image:
+    """The misfit by place as an image on top of the movie, one for all frames or one for each stretch of them."""
+    from napari.layers import Image
+
+    z = _stretches(places.maps[name])
+    long, step = places.n_frames / len(z), float(movie.scale[0]) if movie.ndim == 3 else 1.0
+    start = float(movie.translate[0]) if movie.ndim == 3 else 0.0
+    return Image(
+        z, name=f"where: {WORDS[name]}", scale=(long * step, *movie.scale[-2:]), units=("pixel", *movie.units[-2:]),
+        translate=(start + (first_frame + (long - 1) / 2) * step, *_at(places, movie)),
+        colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN), metadata={METADATA_KEY: {"role": PLACE}},
+    )  # fmt: skip
+
+
+def molecules_of(number: str, places: Places, movie: Image) -> Points:
+    """Molecules coloured by their misfit in a number; all their numbers are features, that one also as "sd"."""
+    table = places.molecules
+    features = table.drop(columns=["y_px", "x_px"]).assign(sd=table[number].to_numpy(float))
+    return points_on(
+        movie, table[["y_px", "x_px"]].to_numpy(float), features, f"where: {MOLECULE_WORDS[number]}",
+        opacity=0.8, size=5.0 * float(places.model.sigma_px), face_color="sd", face_colormap="PiYG",
+        face_contrast_limits=(-SD_SHOWN, SD_SHOWN), border_color="gray", border_width=0.05, ours={"role": PLACE},
+    )  # fmt: skip
+
+
+def simulated_of(places: Places, movie: Image, name: str, first_frame: int = 0, more: Any = None) -> Image:
+    """The model's movie to the right of the measured one, at the same height and in the same contrast."""
+    space, (y, x) = space_of(movie, first_frame), _at(places, movie)
+    right = (movie.data.shape[-1] + GAP_PX) * movie.scale[-1]
+    space["translate"] = (*space["translate"][:-2], y, x + right)
+    return movie_layer(
+        places.simulated, name, space, places.model, contrast_limits=movie.contrast_limits,
+        colormap=movie.colormap.name, ours={"role": "simulated"} | (more or {}),
+    )  # fmt: skip
 
 
 class PlaceLayers:
@@ -77,90 +115,52 @@ class PlaceLayers:
         return self._show_map(name, places, movie, first_frame)
 
     def show_simulated(self, places: Places, movie: Image, name: str, first_frame: int = 0) -> None:
-        """The model's movie to the right of the measured one, at the same height and in the same contrast."""
-        here = _at(places, movie)
-        right = (movie.data.shape[-1] + GAP_PX) * movie.scale[-1]
-        space = {
-            "scale": tuple(movie.scale), "units": movie.units,
-            "translate": (movie.translate[0] + first_frame * movie.scale[0], here[0], here[1] + right),
-        }  # fmt: skip
-        layer = self.simulated
-        if layer is None:
-            self._layers["simulated"] = add_movie(
-                self.viewer, places.simulated, name, space, places.model, contrast_limits=movie.contrast_limits,
-                colormap=movie.colormap.name, role="simulated",
-            )  # fmt: skip
-            self.viewer.layers.selection.active = movie
+        """The model's movie beside the measured one."""
+        new = simulated_of(places, movie, name, first_frame)
+        if self._take("simulated", new, movie) is new:
             self.viewer.reset_view()
-        else:
-            layer.data, layer.name, layer.translate = places.simulated, name, space["translate"]
-            layer.metadata[METADATA_KEY]["model"] = places.model.to_dict()
 
     # kinds of places --------------------------------------------------------------------------------
     def _show_map(self, name: str, places: Places, movie: Image, first_frame: int) -> str:
-        z = places.maps[name]
-        z = z if z.ndim == 3 else z[np.newaxis]  # one image for all frames, or one for each stretch
-        long, step = places.n_frames / len(z), float(movie.scale[0])
-        space: dict[str, Any] = {
-            "scale": (long * step, *movie.scale[-2:]),
-            "translate": (float(movie.translate[0]) + (first_frame + (long - 1) / 2) * step, *_at(places, movie)),
-            "name": f"where: {WORDS[name]}",
-        }
-        layer = self.map
-        if layer is None:
-            with gently(self.viewer):
-                layer = self._layers["map"] = self.viewer.add_image(
-                    z, **space, units=movie.units, colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN),
-                    metadata={METADATA_KEY: {"role": PLACE}},
-                )  # fmt: skip
-                layers = self.viewer.layers
-                layers.move(layers.index(layer), layers.index(movie) + 1)  # below the molecules
-                layers.selection.active = movie
-        else:
-            layer.data = z
-            for key, value in space.items():
-                setattr(layer, key, value)
-            layer.visible = True
-        frames = ""
+        layer = self._take("map", map_of(name, places, movie, first_frame), movie)
+        z, frames = _stretches(places.maps[name]), ""
         if len(z) > 1:
-            worst = int(np.argmax(np.square(z).mean(axis=(1, 2))))
+            long, worst = places.n_frames / len(z), int(np.argmax(np.square(z).mean(axis=(1, 2))))
             start, stop = round(worst * long), round((worst + 1) * long) - 1
             frames = f"; frames {start + first_frame} … {stop + first_frame} are farthest off"
             self._go_to((start + stop) // 2 + first_frame, movie)
-        off = float((np.abs(z) > 4).mean())
-        return (
-            f"Layer “{layer.name}”: measured − model in sd (green more, pink less); "
-            f"{off:.1%} of the pixels are more than 4 sd off{frames}."
-        )
+        return map_line(layer.name, z, frames)
 
     def _show_molecules(self, number: str, places: Places, movie: Image) -> str:
         table = places.molecules
         if not len(table) or number not in table:
             return "No molecule was found to show this on."
-        z = table[number].to_numpy(float)
-        name = f"where: {MOLECULE_WORDS[number]}"
-        layer, positions = self.molecules, table[["y_px", "x_px"]].to_numpy(float)
+        layer = self._take("molecules", molecules_of(number, places, movie), movie)
+        return molecules_line(layer.name, table, number)
+
+    def _take(self, name: str, new: Any, movie: Image) -> Any:
+        """Show a layer: its values in the one that is there, or itself."""
+        layer = self._alive(name)
         if layer is None:
-            layer = self._layers["molecules"] = points_on(
-                movie, positions, {"sd": z}, name, opacity=0.8, size=5.0 * float(places.model.sigma_px),
-                face_color="sd", face_colormap="PiYG", face_contrast_limits=(-SD_SHOWN, SD_SHOWN),
-                border_color="gray", border_width=0.05, metadata={METADATA_KEY: {"role": PLACE}},
-            )  # fmt: skip
+            self._layers[name] = layer = new
+            layers = self.viewer.layers
             with gently(self.viewer):
-                self.viewer.add_layer(layer)
-                self.viewer.layers.selection.active = movie
-            without_labels(self.viewer, layer)
-        else:
-            if not np.array_equal(layer.data, positions):  # after another effect was added they may be other ones
-                layer.data = positions
-            layer.features, layer.name, layer.visible = {"sd": z}, name, True
+                layers.append(layer)
+                if name == "map":
+                    layers.move(layers.index(layer), layers.index(movie) + 1)  # below the molecules
+                layers.selection.active = movie
+            if name == "molecules":
+                without_labels(self.viewer, layer)
+            return layer
+        if layer.data.shape != new.data.shape or not np.array_equal(layer.data, new.data):
+            layer.data = new.data
+        for key in ("name", "scale", "translate", "metadata"):
+            setattr(layer, key, getattr(new, key))
+        if name == "molecules":
+            layer.features = new.features
             layer.refresh_colors()
-        worst = table.iloc[int(np.argmax(np.abs(z)))]
-        return (
-            f"Layer “{name}”: each molecule against the model's (green more, pink less); "
-            f"{int((np.abs(z) > 3).sum())} of {len(z)} are more than 3 sd off, farthest at "
-            f"y {worst['y_px']:.0f}, x {worst['x_px']:.0f} px."
-        )
+        layer.visible = True
+        return layer
 
     def _go_to(self, frame: int, movie: Image) -> None:
         """Show a frame, counted in the movie's own frames."""
@@ -183,3 +183,8 @@ def _at(places: Places, movie: Image) -> tuple[float, float]:
     """World place (y, x) of the first pixel that was looked at."""
     y, x = movie.translate[-2:] + np.asarray(places.offset_px) * movie.scale[-2:]
     return float(y), float(x)
+
+
+def _stretches(z: Any) -> Any:
+    """One image for all frames, or one for each stretch, as (stretch, y, x)."""
+    return z if z.ndim == 3 else z[np.newaxis]

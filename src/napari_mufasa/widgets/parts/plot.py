@@ -6,7 +6,6 @@ matplotlib takes a tenth of a second or more for a figure. It draws in a thread;
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from qtpy.QtCore import QSize, Qt
 from qtpy.QtGui import QImage, QPainter
 from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
 
+from napari_mufasa.report.offscreen import Draw, rgba, with_figure
 from napari_mufasa.widgets.turns.latest import Latest
 
 if TYPE_CHECKING:
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 MIN_HEIGHT = 210
 DPI = 100
-Draw = Callable[[Any], Any]
-# matplotlib's style is global: one figure at a time.
-_DRAWING = threading.Lock()
 
 
 class Picture(QWidget):
@@ -133,7 +130,7 @@ class PlotCanvas(QWidget):
             write_table(path, self.data)
         elif self._draw is not None:
             width, height, _ = self._size()
-            _with_figure(self._draw, width, height, DPI, self._theme(), lambda f: f.savefig(path, dpi=2 * DPI))
+            with_figure(self._draw, (width, height), DPI, *self._theme(), then=lambda f: f.savefig(path, dpi=2 * DPI))
 
     def _paint(self) -> None:
         if self._draw is None:
@@ -178,32 +175,7 @@ class PlotCanvas(QWidget):
             threading.Thread(target=self.save, args=(path,), daemon=True, name="mufasa-save").start()
 
 
-def _with_figure(function: Draw, width: int, height: int, dpi: float, theme: tuple[str, bool], then: Draw) -> Any:
-    """What `then(figure)` gives, of a figure of so many of its own pixels."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from napari_mufasa.report import plots as plotting
-
-    background, is_dark = theme
-    with _DRAWING, plotting.style("dark" if is_dark else "light"):
-        figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi, layout="constrained")
-        canvas: Any = FigureCanvasAgg
-        canvas(figure)
-        figure.set_facecolor(background)
-        function(figure)
-        for axes in figure.axes:
-            axes.set_facecolor(background)
-        return then(figure)
-
-
 def _render(function: Draw, size: tuple[int, int, float], theme: tuple[str, bool]) -> QImage:
     width, height, ratio = size
-    return _with_figure(function, width, height, DPI * ratio, theme, _image)  # type: ignore[no-any-return]
-
-
-def _image(figure: Any) -> QImage:
-    figure.canvas.draw()
-    pixels = bytes(figure.canvas.buffer_rgba())
-    columns, rows = figure.canvas.get_width_height()
+    columns, rows, pixels = with_figure(function, (width, height), DPI * ratio, *theme, then=rgba)
     return QImage(pixels, columns, rows, QImage.Format.Format_RGBA8888).copy()  # Qt does not keep the bytes

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtCore import Qt, Signal  # type: ignore[attr-defined]
-from qtpy.QtWidgets import QCheckBox, QLabel, QVBoxLayout, QWidget
+from qtpy.QtCore import Signal  # type: ignore[attr-defined]
+from qtpy.QtWidgets import QCheckBox, QVBoxLayout, QWidget
 
+from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.report.words import matching_curve, observable_text
+from napari_mufasa.widgets.parts.panel import wrapped
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.parts.preferences import preference
-from napari_mufasa.widgets.parts.tables import add_row, table
-from napari_mufasa.widgets.turns.jobs import Quiet
+from napari_mufasa.widgets.parts.tables import RowTable
 
 if TYPE_CHECKING:
     from napari.viewer import Viewer
@@ -29,9 +30,7 @@ class WherePage(QWidget):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__()
         self.report: Report | None = None
-        self._quiet = Quiet(self)
-        self.failing = table(["What is measured", "z before", "z now"])
-        self.failing.setAccessibleName("Observables that the model misses")
+        self.failing = RowTable(["What is measured", "z before", "z now"], "Observables that the model misses")
         self.failing.itemSelectionChanged.connect(self._on_selected)
         self.failing.cellClicked.connect(lambda *_: self._on_selected())  # the row may be selected already
         self.curve = PlotCanvas(viewer, "Click an observable to see it measured and as the model has it.", 240)
@@ -40,8 +39,7 @@ class WherePage(QWidget):
             "A layer of measured minus simulated in standard deviations, or the molecules it is of"
         )
         self.in_image.setChecked(bool(preference("picture.show_place")))
-        self.place = QLabel()
-        self.place.setWordWrap(True)
+        self.place = wrapped()
         self.place.hide()
         layout = QVBoxLayout(self)
         layout.addWidget(self.failing, 1)
@@ -52,16 +50,8 @@ class WherePage(QWidget):
     def show_report(self, report: Report) -> None:
         self.report = report
         self.say_place("")
-        with self._quiet:
-            self.failing.setRowCount(0)
-            self.failing.setColumnHidden(2, not report.chosen)
-            for item in report.failing:
-                where = f"\n{item['where']}" if item.get("where") else ""
-                title, now = str(item.get("title", item["observable"])), item.get("z_after")
-                cells = [title, f"{item['z']:+.1f}", "" if now is None else f"{now:+.1f}"]
-                add_row(self.failing, cells, title + where, str(item["observable"]))
-            if report.failing:
-                self.failing.selectRow(0)
+        self.failing.setColumnHidden(2, not report.chosen)
+        self.failing.fill(_row(item) for item in report.failing)
         if report.failing:
             self._draw(self.selected())
         else:
@@ -69,8 +59,7 @@ class WherePage(QWidget):
 
     def selected(self) -> str:
         """The chosen observable, empty when there is none."""
-        items: Any = self.failing.selectedItems()
-        return str(items[0].data(Qt.ItemDataRole.UserRole)) if items else ""
+        return self.failing.key
 
     def say_place(self, words: str) -> None:
         self.place.setText(words)
@@ -78,10 +67,9 @@ class WherePage(QWidget):
 
     def _on_selected(self) -> None:
         name = self.selected()
-        if self._quiet or not name:
-            return
-        self._draw(name)
-        self.chosen.emit(name)
+        if name:
+            self._draw(name)
+            self.chosen.emit(name)
 
     def _draw(self, name: str) -> None:
         import pandas as pd
@@ -91,19 +79,13 @@ class WherePage(QWidget):
         row = observables[observables["observable"] == name]
         title = observable_text(row.iloc[0], bool(self.report.chosen)) if len(row) else ""
         if curve is None:  # a single number: it is shown among the others
-            self.curve.draw(lambda figure: _draw_all(figure, observables), observables, title)
+            self.curve.draw(drawing("z_scores", observables), observables, title)
         else:
             data = pd.DataFrame({column: getattr(curve, column) for column in COLUMNS})
-            self.curve.draw(lambda figure: _draw_curve(figure, curve), data, title)
+            self.curve.draw(drawing("curve", curve), data, title)
 
 
-def _draw_all(figure: Any, observables: Any) -> None:
-    from napari_mufasa.report import plots as plotting
-
-    plotting.z_scores(figure.subplots(), observables)
-
-
-def _draw_curve(figure: Any, curve: Any) -> None:
-    from napari_mufasa.report import plots as plotting
-
-    plotting.curve(figure.subplots(), curve)
+def _row(item: dict[str, Any]) -> tuple[str, list[str], str]:
+    where = f"\n{item['where']}" if item.get("where") else ""
+    title, now = str(item.get("title", item["observable"])), item.get("z_after")
+    return str(item["observable"]), [title, f"{item['z']:+.1f}", "" if now is None else f"{now:+.1f}"], title + where

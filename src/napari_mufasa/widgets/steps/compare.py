@@ -1,171 +1,146 @@
-"""The Compare step: how far the model's emission is from the measured one, beside its floor and two simpler models."""
+"""Compare: how far the model's emission is from the measured one, beside its floor and two simpler models."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from qtpy.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLabel, QPushButton, QVBoxLayout, QWidget
+from magicgui.widgets import ComboBox
+from napari.layers import Layer
+from qtpy.QtWidgets import QVBoxLayout
 
-from napari_mufasa.widgets.parts.fields import number_text
-from napari_mufasa.widgets.parts.panel import MovieChooser, Panel, Tabs, seed_row
+from napari_mufasa.report.lines import comparison_table
+from napari_mufasa.report.offscreen import drawing
+from napari_mufasa.widgets.parts.forms import dress_one, step_form
+from napari_mufasa.widgets.parts.layers import ours
+from napari_mufasa.widgets.parts.panel import Panel, Tabs, boxed, button, wrapped
+from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
 from napari_mufasa.widgets.parts.plot import PlotCanvas
-from napari_mufasa.widgets.parts.preferences import preference
-from napari_mufasa.widgets.steps.model import ModelSource
-from napari_mufasa.widgets.turns.jobs import guarded
-from napari_mufasa.widgets.turns.live import LiveLine
+from napari_mufasa.widgets.steps.traces import molecules_on
+from napari_mufasa.widgets.turns.live import LiveLine, live_of
+from napari_mufasa.widgets.turns.session import believed, measurement_of
+from napari_mufasa.widgets.turns.steering import steering
 
 if TYPE_CHECKING:
+    from magicgui.widgets import FunctionGui
+    from napari.viewer import Viewer
+
     from napari_mufasa.compare import Comparison
 
-CURVES = {
-    "counts": "Signal per frame",
-    "autocorrelation": "Autocorrelation",
-    "on_times": "On times",
-    "off_times": "Off times",
-    "survival": "Not yet bleached",
-    "levels": "On levels",
-}
+CURVES = [
+    ("Signal per frame", "counts"), ("Autocorrelation", "autocorrelation"), ("On times", "on_times"),
+    ("Off times", "off_times"), ("Not yet bleached", "survival"), ("On levels", "levels"),
+]  # fmt: skip
+
+
+def compare(
+    movie: Movie,
+    dark: Dark = None,
+    dark_frames: DarkFrames = 0,
+    model: Believed = None,
+    seed: Seed = 1,
+    fit: Annotated[
+        bool,
+        {
+            "label": "also fit brightness, background and bleaching",
+            "tooltip": "A wrong laser power is then not read as wrong physics",
+        },
+    ] = True,
+) -> list[Layer]:
+    """Simulate the believed model, read its movie like the measured one, and compare the molecules' signals.
+
+    Returns one layer of points, the molecules compared; its ``metadata["napari_mufasa"]["comparison"]`` is the
+    `Comparison`.
+    """
+    from napari_mufasa.compare import compare_movie
+
+    progress, cancel = steering()
+    measurement = measurement_of(movie, dark, dark_frames).recorded()
+    found = compare_movie(
+        measurement.movie, believed(model, movie), measurement.dark,
+        seed=seed, fit=fit, progress=progress, cancel=cancel,
+    )  # fmt: skip
+    assert found.measured is not None  # it was a movie
+    return [molecules_on(movie, found.measured, comparison=found)]
+
+
+def compare_widget(viewer: Viewer | None = None, call_button: Any = "Compare") -> FunctionGui[..., Any]:
+    return step_form(compare, viewer, call_button, SEED | {"fit": "steps.fit_before_comparing"})
 
 
 class ComparePanel(Panel):
-    """Over `napari_mufasa.compare.compare_movie`."""
-
-    title = "Compare"
     words = (
         "Simulate the believed model, read its movie like the measured one, and compare the molecules' signals. "
         "The floor is the distance between two halves of the measurement: no model gets below it."
     )
-    run_label = "Compare"
+    run_label, running, needs = "Compare", "Comparing", "counts"
+    form_factory = compare_widget
 
     def build(self) -> None:
-        self.chooser = MovieChooser(self.session)
-        self.source = ModelSource(self.session)
-        self.seed, row = seed_row()
-        self.fit = QCheckBox("also fit brightness, background and bleaching")
-        self.fit.setToolTip("A wrong laser power is then not read as wrong physics")
-        self.fit.setChecked(bool(preference("steps.fit_before_comparing")))
-        self.column.addWidget(self.chooser)
-        self.column.addWidget(self.source)
-        self.column.addLayout(row)
-        self.column.addWidget(self.fit)
-        self.column.addWidget(self.run_bar)
-        self.result = QLabel()
-        self.result.setWordWrap(True)
+        self.comparison: Comparison | None = None
+        self.result, self.live_line = wrapped(), LiveLine(self.session)
         self.result.hide()
-        self.column.addWidget(self.result)
-        self.live_line = LiveLine(self.session)
+        self.add(self.form.native, self.run_bar, self.result, self.live_line)
         self.live = PlotCanvas(self.viewer, "Measured signal and that of the model as it is being edited.", 230)
         self.traces = PlotCanvas(self.viewer, "Measured and simulated traces appear here.", 230)
-        self.session.live.changed.connect(self._show_live)
-        self.column.addWidget(self.live_line)
         self.distances = PlotCanvas(self.viewer, "The distances appear here.", 260)
         self.curves = PlotCanvas(self.viewer, "The distributions appear here.", 230)
-        self.which = QComboBox()
-        self.which.setAccessibleName("Distribution")
-        for name, words in CURVES.items():
-            self.which.addItem(words, name)
-        self.which.currentIndexChanged.connect(self._show_curves)
-        page = QWidget()
-        inside = QVBoxLayout(page)
-        inside.setContentsMargins(0, 4, 0, 0)
-        inside.addWidget(self.which)
-        inside.addWidget(self.curves, 1)
-        self.tabs = Tabs(320)
-        self.tabs.addTab(self.distances, "Distances")
-        self.tabs.addTab(page, "Distributions")
-        self.tabs.addTab(self.live, "Live")
-        self.tabs.addTab(self.traces, "Traces")
+        live_of(self.session).changed.connect(self._show_live)
+        self.which = dress_one(ComboBox(choices=CURVES, label="Distribution"))
+        self.which.changed.connect(self._show_curves)
+        page = boxed((self.which.native, self.curves), QVBoxLayout(), (0, 4, 0, 0))
+        pages = {"Distances": self.distances, "Distributions": page, "Live": self.live, "Traces": self.traces}
+        self.tabs = Tabs(320, pages)
         self.column.addWidget(self.tabs, 1)
-        self.use_button = QPushButton("Believe the fitted model")
-        self.use_button.setToolTip("Take the fitted brightness, background and bleaching into the model")
-        self.use_button.clicked.connect(self._use_fitted)
+        self.use_button = button(
+            "Believe the fitted model", self._use_fitted,
+            "Take the fitted brightness, background and bleaching into the model",
+        )  # fmt: skip
         self.use_button.hide()
-        self.export_button = QPushButton("Export report …")
-        self.export_button.clicked.connect(self._ask_and_export)
-        self.export_button.setEnabled(False)
-        self.column.addWidget(self.use_button)
-        self.column.addWidget(self.export_button)
-        self.comparison: Comparison | None = None
+        self.export_button = button(
+            "Export report …", lambda: self.ask_where("Export comparison", self.export, "report.json"), enabled=False
+        )
+        self.add(self.use_button, self.export_button)
 
-    def prepare(self) -> None:
-        measurement = self.session.measurement().recorded()
-        model, seed, fit = self.session.matching_model(measurement.movie), self.seed.value(), self.fit.isChecked()
-
-        def work(progress: Any, cancel: Any) -> Any:
-            from napari_mufasa.compare import compare_movie
-
-            return compare_movie(
-                measurement.movie, model, measurement.dark, seed=seed, fit=fit, progress=progress, cancel=cancel
-            )
-
-        self.start("Comparing", work, self._show)
-
-    def _show(self, comparison: Comparison) -> None:
+    def take(self, layers: list[Any]) -> None:
+        """The molecules are step Molecules' to show: here are the distances."""
         import pandas as pd
 
         from napari_mufasa.report.plots.emission import MODELS
 
-        self.comparison = comparison
-        w1, interval = comparison.w1, comparison.w1_interval
-        rows = []
-        for name in ("mufasa", "fitted", "poisson", "sofi"):
-            if w1.get(name) is not None:
-                low, high = interval[name]
-                words = f"{number_text(round(w1[name], 2))} ({low:.2f} … {high:.2f})"
-                rows.append(f"<tr><td>{MODELS[name]}&nbsp;&nbsp;</td><td><b>{words}</b></td></tr>")
-        floor = comparison.floor
-        rows.append(f"<tr><td>floor</td><td>{floor.value:.2f} ({floor.low:.2f} … {floor.high:.2f})</td></tr>")
-        molecules = len(comparison.samples["measured"].traces)
-        notes = "".join(f"<br>{note}" for note in comparison.notes)
-        self.result.setText(
-            f"W1 distance in {w1['unit']}, {molecules} molecules (95 % interval)<table>{''.join(rows)}</table>{notes}"
-        )
+        comparison: Comparison = ours(layers[0])["comparison"]
+        self.comparison, w1 = comparison, comparison.w1
+        self.result.setText(comparison_table(comparison))
         self.result.show()
         self.use_button.setVisible(comparison.fit is not None)
         self.export_button.setEnabled(True)
-        self.distances.draw(lambda figure: _draw_distances(figure, w1), pd.DataFrame([w1]))
+        self.distances.draw(drawing("w1_bars", w1), pd.DataFrame([w1]))
         self._show_curves()
         best = "fitted" if comparison.fit is not None else "mufasa"
-        samples, name = comparison.samples, MODELS[best]
-        self._show_traces(samples["measured"].traces, samples[best].traces, name)
+        self._show_traces(comparison.samples["measured"].traces, comparison.samples[best].traces, MODELS[best])
         self.session.set_result("comparison", comparison)
 
-    def _show_curves(self, _index: int = 0) -> None:
-        import pandas as pd
-
-        if self.comparison is None:
-            return
-        shown = self.comparison.distributions[self.which.currentData()]
-        data = pd.DataFrame({shown.x_label: shown.x, **shown.curves})
-        self.curves.draw(lambda figure: _draw_distribution(figure, shown), data)
+    def _show_curves(self, _which: Any = None) -> None:
+        if self.comparison is not None:
+            _draw(self.curves, self.comparison.distributions[str(self.which.value)])
 
     def _show_live(self) -> None:
         """The signal of measured traces and of the model now, with their distance."""
-        import pandas as pd
-
-        distance = self.session.live.distance
-        if distance is None or self.session.live.busy:
+        live = live_of(self.session)
+        distance = live.distance
+        if distance is None or live.busy:
             return
-        shown = distance.distribution
-        data = pd.DataFrame({shown.x_label: shown.x, **shown.curves})
-        w1 = {"mufasa": distance.w1}
-        self.live.draw(lambda figure: _draw_distribution(figure, shown, w1), data)
+        _draw(self.live, distance.distribution, {"mufasa": distance.w1})
         if self.comparison is None:
             self._show_traces(distance.measured, distance.simulated, "this model")
 
     def _show_traces(self, measured: Any, simulated: Any, name: str) -> None:
         """A few measured traces on the left, as many of the model on the right."""
         if len(measured) and len(simulated):
-            self.traces.draw(lambda figure: _draw_traces(figure, measured, simulated, name))
+            self.traces.draw(drawing("side_by_side", measured, simulated, name, whole=True))
 
     def _use_fitted(self) -> None:
         if self.comparison is not None and self.comparison.fit is not None:
             self.session.set_model(self.comparison.fit.model, f"{self.session.model_origin}, fitted")
-
-    def _ask_and_export(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Export comparison", "report.json", filter="Report (*.json)")
-        if path:
-            guarded(self.run_bar, lambda: self.export(path))
 
     def export(self, path: str) -> None:
         """Write report.json (SPEC.md §10)."""
@@ -176,19 +151,7 @@ class ComparePanel(Panel):
             self.run_bar.say(f"Written: {path}")
 
 
-def _draw_distances(figure: Any, w1: dict[str, Any]) -> None:
-    from napari_mufasa.report import plots as plotting
+def _draw(canvas: PlotCanvas, shown: Any, w1: dict[str, Any] | None = None) -> None:
+    import pandas as pd
 
-    plotting.w1_bars(figure.subplots(), w1)
-
-
-def _draw_distribution(figure: Any, shown: Any, w1: dict[str, Any] | None = None) -> None:
-    from napari_mufasa.report import plots as plotting
-
-    plotting.distribution(figure.subplots(), shown, w1)
-
-
-def _draw_traces(figure: Any, measured: Any, simulated: Any, name: str) -> None:
-    from napari_mufasa.report import plots as plotting
-
-    plotting.side_by_side(figure, measured, simulated, name)
+    canvas.draw(drawing("distribution", shown, w1), pd.DataFrame({shown.x_label: shown.x, **shown.curves}))

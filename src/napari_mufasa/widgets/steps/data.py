@@ -5,69 +5,54 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
+from magicgui.widgets import ComboBox
+from qtpy.QtWidgets import QFileDialog, QHBoxLayout
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.widgets.parts.layers import resolution_um, slim
-from napari_mufasa.widgets.parts.panel import MovieChooser, Panel
-from napari_mufasa.widgets.turns.gently import gently, room_for, shown_later
+from napari_mufasa.widgets.parts.forms import dress_one, step_form
+from napari_mufasa.widgets.parts.layers import added, resolution_um
+from napari_mufasa.widgets.parts.panel import Panel, boxed, button, wrapped
+from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
 from napari_mufasa.widgets.turns.jobs import guarded
-from napari_mufasa.widgets.turns.session import model_in, stack_of, stored
+from napari_mufasa.widgets.turns.session import Measurement, measurement_of, model_in, stack_of, stored
 
 if TYPE_CHECKING:
+    from magicgui.widgets import FunctionGui
     from napari.viewer import Viewer
 
-SAMPLES = {
-    "Sample: hidden effect": "hidden_effect",
-    "Sample: FF": "ff",
-    "Sample: Blinking": "blinking",
-    "Sample: STORM": "storm",
-    "Sample: PALM": "palm",
-}
+SAMPLES = [
+    ("Sample: hidden effect", "hidden_effect"), ("Sample: FF", "ff"), ("Sample: Blinking", "blinking"),
+    ("Sample: STORM", "storm"), ("Sample: PALM", "palm"),
+]  # fmt: skip
+
+
+def measurement(movie: Movie, dark: Dark = None, dark_frames: DarkFrames = 0) -> Measurement:
+    """What was recorded."""
+    return measurement_of(movie, dark, dark_frames)
+
+
+def data_widget(viewer: Viewer | None = None, call_button: Any = False) -> FunctionGui[..., Any]:
+    return step_form(measurement, viewer, call_button)
 
 
 class DataPanel(Panel):
     """Choose the measurement. Opening a movie that carries its model takes that model over."""
 
-    title = "Data"
     words = "Open a movie, say which layer it is and where its dark frames are."
     run_label = "Open movie …"
-
-    def __init__(self, viewer: Viewer) -> None:
-        super().__init__(viewer)
+    form_factory = data_widget
+    hidden = ()
 
     def build(self) -> None:
-        self.sample = QComboBox()
-        self.sample.addItems(list(SAMPLES))
-        self.sample.setAccessibleName("Sample")
-        slim(self.sample)
-        self.sample_button = QPushButton("Open sample")
-        self.sample_button.clicked.connect(self._open_sample)
-        row = QHBoxLayout()
-        row.addWidget(self.sample, 1)
-        row.addWidget(self.sample_button)
-        self.column.addWidget(self.run_bar)
-        self.column.addLayout(row)
-        self.chooser = MovieChooser(self.session)
-        self.column.addWidget(self.chooser)
-        self.first_dark = QSpinBox()
-        self.first_dark.setRange(0, 100_000)
-        self.first_dark.setSpecialValueText("none")
-        self.first_dark.setToolTip("Number of frames at the start of the movie that were taken without light")
-        self.first_dark.valueChanged.connect(self.session.set_first_dark_frames)
-        form = QFormLayout()
-        form.addRow("… or first frames dark", self.first_dark)
-        self.column.addLayout(form)
-        self.facts = QLabel()
-        self.facts.setWordWrap(True)
-        self.column.addWidget(self.facts)
-        self.use_model = QPushButton("Believe the model in the metadata")
-        self.use_model.setToolTip("Take over the model that travelled with the movie")
-        self.use_model.clicked.connect(self._use_model)
-        self.column.addWidget(self.use_model)
-        self.use_scale = QPushButton()
-        self.use_scale.clicked.connect(self._use_scale)
-        self.column.addWidget(self.use_scale)
+        self.sample = dress_one(ComboBox(choices=SAMPLES, label="Sample"))
+        self.sample_button = button("Open sample", self._open_sample)
+        self.facts = wrapped()
+        self.use_model = button(
+            "Believe the model in the metadata", self._use_model, "Take over the model that travelled with the movie"
+        )
+        self.use_scale = button("", self._use_scale)
+        row = boxed((self.sample.native, self.sample_button), QHBoxLayout())
+        self.add(self.run_bar, row, self.form.native, self.facts, self.use_model, self.use_scale)
         self.column.addStretch(1)
         self.session.movie_changed.connect(self.refresh)
         self.session.model_changed.connect(self.refresh)
@@ -84,9 +69,9 @@ class DataPanel(Panel):
         def work(progress: Any, cancel: Any) -> Any:
             from napari_mufasa.files.layers import movie_layer
 
-            return [movie_layer(path)]
+            return _made([movie_layer(path)])
 
-        self.start("Opening", work, self._add)
+        self.start("Opening", work, self.take)
 
     def open_sample(self, key: str) -> None:
         """Open one of the plugin's samples: it is simulated in the background."""
@@ -94,24 +79,14 @@ class DataPanel(Panel):
         def work(progress: Any, cancel: Any) -> Any:
             from napari_mufasa import samples
 
-            return getattr(samples, f"sample_{key}")()
+            return _made(getattr(samples, f"sample_{key}")())
 
-        self.start("Simulating the sample", work, self._add)
+        self.start("Simulating the sample", work, self.take)
 
-    def _add(self, found: list[Any]) -> Generator[None, None, None]:
-        from napari.layers import Image
-
-        yield from room_for(self.viewer, found[-1][0].shape, found[-1][1].get("scale"))
-        added = []
-        for data, options, _ in found:
-            layer = Image(data, **(options | {"visible": False}))
-            yield
-            with gently(self.viewer):
-                added.append(self.viewer.add_layer(layer))
-            if options.get("visible", True):
-                yield from shown_later(self.viewer, layer)
-            yield
-        self._take(next(layer for layer in added if stored(layer, "role") != "dark frames"))
+    def take(self, layers: list[Any]) -> Generator[None, None, None]:
+        yield from added(self.viewer, layers)
+        self.session.set_movie(next(layer for layer in layers if stored(layer, "role") != "dark frames"))
+        self._use_model()
         self.viewer.dims.set_point(0, 0)
 
     def refresh(self) -> None:
@@ -123,7 +98,7 @@ class DataPanel(Panel):
             return
         try:
             shape = stack_of(layer).shape
-            believed = model_in(layer)
+            carried = model_in(layer)
         except MufasaError as error:
             self.facts.setText(str(error))
             return
@@ -131,20 +106,19 @@ class DataPanel(Panel):
         lines = [f"<b>{layer.name}</b>: {shape[0]} frames of {shape[1]} × {shape[2]} px, {layer.dtype}"]
         lines.append(f"pixel size {size * 1000:.4g} nm" if size else "pixel size not stated: the model's is used")
         if not size and self.session.model_chosen:
-            self.use_scale.setText(
-                f"Give it the model's pixel size, {self.session.model.acquisition.pixel_size_nm:g} nm"
-            )
+            size_nm = self.session.model.acquisition.pixel_size_nm
+            self.use_scale.setText(f"Give it the model's pixel size, {size_nm:g} nm")
             self.use_scale.setVisible(True)
-        if believed is None:
+        if carried is None:
             lines.append("carries no model: choose one in step Model, the camera in step Camera")
         else:
-            same = self.session.model == believed
-            lines.append(f"carries a model ({believed.protocol}, {believed.camera.type})" + (", in use" * same))
+            same = self.session.model == carried
+            lines.append(f"carries a model ({carried.protocol}, {carried.camera.type})" + (", in use" * same))
             self.use_model.setVisible(not same)
         self.facts.setText("<br>".join(lines))
 
     def _open_sample(self) -> None:
-        guarded(self.run_bar, lambda: self.open_sample(SAMPLES[self.sample.currentText()]))
+        guarded(self.run_bar, lambda: self.open_sample(str(self.sample.value)))
 
     def _use_scale(self) -> None:
         from napari_mufasa.files.layers import movie_space
@@ -156,38 +130,14 @@ class DataPanel(Panel):
             self.viewer.reset_view()
         self.refresh()
 
-    def _take(self, layer: Any) -> None:
-        self.session.set_movie(layer)
-        self._use_model()
-
     def _use_model(self) -> None:
         layer = self.session.movie_layer
-        model = model_in(layer) if layer is not None else None
-        if layer is not None and model is not None:
-            self.session.set_model(model, f"metadata of {layer.name}")
+        if layer is not None and model_in(layer) is not None:
+            self.session.take_model_of_movie()
         self.refresh()
 
 
-class CameraPanel(QWidget):
-    """The camera of every later step."""
+def _made(found: list[Any]) -> list[Any]:
+    from napari.layers import Layer
 
-    title = "Camera"
-
-    def __init__(self, viewer: Viewer) -> None:
-        from qtpy.QtWidgets import QVBoxLayout
-
-        from napari_mufasa.widgets.steps.model import ModelSource, PartEditor
-        from napari_mufasa.widgets.turns.session import session_of
-
-        super().__init__()
-        session = self.session = session_of(viewer)
-        words = QLabel("The camera that recorded the movie. It is used in every later step.")
-        words.setWordWrap(True)
-        self.source = ModelSource(session)
-        self.editor = PartEditor(session, "camera")
-        self.timing = PartEditor(session, "acquisition", ("frame_length_s", "frame_interval_s", "pixel_size_nm"))
-        column = QVBoxLayout(self)
-        column.setContentsMargins(6, 6, 6, 6)
-        for widget in (words, self.source, self.editor, QLabel("<b>Timing and pixels</b>"), self.timing):
-            column.addWidget(widget)
-        column.addStretch(1)
+    return [Layer.create(*data) for data in found]

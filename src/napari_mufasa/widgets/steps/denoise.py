@@ -1,119 +1,153 @@
-"""The Denoise widget: counts in, photons out."""
+"""Denoise: counts in, photons out."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Generator
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from qtpy.QtWidgets import QCheckBox, QComboBox, QFormLayout
+from magicgui.widgets import ComboBox
+from napari.layers import Layer
 
 from napari_mufasa.denoise.pipeline import Method
+from napari_mufasa.model.cameras import CAMERAS
 from napari_mufasa.widgets.parts.denoise_preview import PreviewBox
-from napari_mufasa.widgets.parts.layers import add_movie, like, slim
-from napari_mufasa.widgets.parts.panel import MovieChooser, Panel
-from napari_mufasa.widgets.turns.gently import shown_later
+from napari_mufasa.widgets.parts.forms import dress, step_form
+from napari_mufasa.widgets.parts.layers import added, movie_layer, space_of
+from napari_mufasa.widgets.parts.panel import Panel, section
+from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie
+from napari_mufasa.widgets.parts.part_editor import PartEditor
+from napari_mufasa.widgets.turns.jobs import guarded
+from napari_mufasa.widgets.turns.session import measurement_of, model_in
+from napari_mufasa.widgets.turns.steering import steering
 
-METHODS: dict[str, Method] = {
-    "PURE-LET, past and future frames": "pure-let-movie",
-    "PURE-LET, frame by frame": "pure-let",
-    "PURE-LET, frame by frame, like patches": "pure-let-patches",
-    "recipe of the source note": "source",
-    "camera's inverse only": "none",
-}
+if TYPE_CHECKING:
+    from magicgui.widgets import FunctionGui
+    from napari.viewer import Viewer
+
+METHODS = [
+    ("PURE-LET, past and future frames", "pure-let-movie"),
+    ("PURE-LET, frame by frame", "pure-let"),
+    ("PURE-LET, frame by frame, like patches", "pure-let-patches"),
+    ("recipe of the source note", "source"),
+    ("camera's inverse only", "none"),
+]
 IN_USE = "as set below"
 MEASURED = "measure on this movie"
-#: Typical cameras to start from; electrons per count and baseline are on the camera's data sheet.
-CAMERAS: dict[str, dict[str, Any]] = {
-    "EMCCD, gain 300": {
-        "type": "EMCCD", "quantum_efficiency": 0.9, "read_noise_e": 50.0, "clock_induced_charge_e": 0.002,
-        "electrons_per_adu": 12.0, "baseline_adu": 200.0, "em_gain": 300.0,
-    },
-    "sCMOS, linear": {
-        "type": "CMOS", "quantum_efficiency": 0.8, "read_noise_e": 1.6, "electrons_per_adu": 0.46,
-        "baseline_adu": 100.0, "cmos_gain_curve": ((0.0, 0.0), (1.0, 1.0)),
-    },
-    "CCD": {
-        "type": "CCD", "quantum_efficiency": 0.7, "read_noise_e": 6.0, "electrons_per_adu": 1.0, "baseline_adu": 100.0,
-    },
-}  # fmt: skip
-#: Results larger than this are written to a temporary zarr store and shown from there.
-IN_MEMORY_BYTES = 2**30
+
+
+def denoise(
+    movie: Movie,
+    dark: Dark = None,
+    dark_frames: DarkFrames = 0,
+    model: Believed = None,
+    method: Annotated[
+        Method,
+        {
+            "label": "Method", "widget_type": "ComboBox", "choices": METHODS,
+            "tooltip": "The first is best on movies, the third on single frames; the others are to compare",
+        },
+    ] = "pure-let-movie",
+    excess_noise: Annotated[
+        bool,
+        {
+            "label": "EM gain adds noise (excess noise)",
+            "tooltip": "An EMCCD's multiplication doubles the variance; untick for the source note's literal way",
+        },
+    ] = True,
+    residual: Annotated[
+        bool,
+        {
+            "label": "Add what was taken away",
+            "tooltip": "A layer of counts (as photons) less the result: it should look like noise",
+        },
+    ] = False,
+) -> list[Layer]:  # fmt: skip
+    """Run the model's camera backwards: from counts to photons per pixel, the camera's noise removed.
+
+    Without a model, here and in the movie's metadata, the camera is measured on the movie and its dark frames.
+    Returns, as they lie on each other: what was taken away, the photons.
+    """
+    from napari_mufasa.denoise.pipeline import denoise as run
+    from napari_mufasa.denoise.pipeline import measured_camera
+    from napari_mufasa.denoise.viewing import lazily, store_for, taken_away
+
+    progress, cancel = steering()
+    measurement = measurement_of(movie, dark, dark_frames).recorded()
+    model = model if model is not None else model_in(movie)
+    camera = model.camera if model is not None else measured_camera(measurement.movie, measurement.dark, cancel)
+    photons = lazily(
+        run(
+            measurement.movie, camera, method=method, excess_noise=excess_noise, progress=progress, cancel=cancel,
+            out=store_for(measurement.movie.shape),
+        )
+    )  # fmt: skip
+    name, space, role = movie.name, space_of(movie, measurement.first_frame), {"role": "photons"}
+    layers: list[Layer] = [movie_layer(photons, f"{name}, photons", space, ours=role)]
+    if residual:
+        taken = taken_away(measurement.movie, camera, photons)
+        layers.insert(0, movie_layer(taken, f"{name}, taken away", space, ours=role, visible=False))
+    return layers
+
+
+def denoise_widget(viewer: Viewer | None = None, call_button: Any = "Denoise") -> FunctionGui[..., Any]:
+    return step_form(denoise, viewer, call_button)
 
 
 class DenoisePanel(Panel):
-    """Over `napari_mufasa.denoise`."""
-
-    title = "Denoise"
     words = "Run the camera backwards: from counts to photons per pixel, the camera's noise removed."
-    run_label = "Denoise"
+    run_label, running, needs = "Denoise", "Denoising", "counts"
+    form_factory = denoise_widget
+    hidden = ("dark", "dark_frames")
 
     def build(self) -> None:
-        from napari_mufasa.widgets.steps.model import ModelSource, PartEditor, section
-
-        self.chooser = MovieChooser(self.session, dark=False)
-        self.column.addWidget(self.chooser)
-        self.source = ModelSource(self.session)
-        self.column.addWidget(self.source)
-        self.preset = QComboBox()
-        self.preset.addItems([IN_USE, *CAMERAS, MEASURED])
-        slim(self.preset)
-        self.preset.setToolTip("A typical camera to start from, or this one, measured on the movie and its dark frames")
-        self.preset.activated.connect(self._on_preset)
-        self.method = QComboBox()
-        self.method.addItems(list(METHODS))
-        slim(self.method)
-        self.method.setToolTip("The first is best on movies, the third on single frames; the others are to compare")
-        form = QFormLayout()
-        form.addRow("Camera", self.preset)
-        form.addRow("Method", self.method)
-        self.column.addLayout(form)
-        self.column.addWidget(section("Camera", PartEditor(self.session, "camera"), False))
-        self.excess = QCheckBox("EM gain adds noise (excess noise)")
-        self.excess.setToolTip(
-            "An EMCCD's multiplication doubles the variance; untick for the source note's literal way"
-        )
-        self.excess.setChecked(True)
-        self.residual = QCheckBox("Add what was taken away")
-        self.residual.setToolTip("A layer of counts (as photons) less the result: it should look like noise")
+        self.preset = ComboBox(
+            label="Camera", choices=[IN_USE, *CAMERAS, MEASURED],
+            tooltip="A typical camera to start from, or this one, measured on the movie and its dark frames",
+        )  # fmt: skip
+        self.preset.native.activated.connect(self._on_preset)
+        self.form.insert(list(self.form.asdict()).index("method"), self.preset)
+        dress(self.form)
         self.preview = PreviewBox(self.session, self.settings)
-        for widget in (self.excess, self.preview, self.residual, self.run_bar):
-            self.column.addWidget(widget)
+        self.add(self.form.native, section("Camera", PartEditor(self.session, "camera")), self.preview, self.run_bar)
         self.column.addStretch(1)
         self.session.model_changed.connect(self._refresh)
         self.session.movie_changed.connect(self.preview.refresh)
-        self.method.currentIndexChanged.connect(self.preview.refresh)
-        self.excess.toggled.connect(self.preview.refresh)
+        self.form.method.changed.connect(self.preview.refresh)
+        self.form.excess_noise.changed.connect(self.preview.refresh)
         self._refresh()
 
     def settings(self) -> tuple[Method, bool]:
         """Method and whether the excess noise counts."""
-        return METHODS[self.method.currentText()], self.excess.isChecked()
+        return self.form.method.value, self.form.excess_noise.value
+
+    def take(self, layers: list[Any]) -> Generator[None, None, None]:
+        self.preview.switch.setChecked(False)
+        yield
+        yield from added(self.viewer, layers)
+        self.session.set_result("denoised", True)
+        self.run_bar.say("Added: photons per pixel and frame.")
 
     def _refresh(self) -> None:
         camera = self.session.model.camera
-        self.excess.setVisible(camera.type == "EMCCD")
+        self.form.excess_noise.visible = camera.type == "EMCCD"
         named = [name for name, values in CAMERAS.items() if all(getattr(camera, k) == v for k, v in values.items())]
-        self.preset.setCurrentText(named[0] if named else IN_USE)
+        self.preset.value = named[0] if named else IN_USE
         self.preview.refresh()
 
-    def _on_preset(self, index: int) -> None:
-        name = self.preset.itemText(index)
-        if name == MEASURED:
-            from napari_mufasa.widgets.turns.jobs import guarded
+    def _on_preset(self, _index: int) -> None:
+        from napari_mufasa.model.setup import Camera
 
+        name: Any = self.preset.value
+        if name == MEASURED:
             guarded(self.run_bar, self._measure)
         elif name in CAMERAS:
-            from napari_mufasa.model.setup import Camera
-
             self._set_camera(Camera(**CAMERAS[name]))
 
     def _set_camera(self, camera: Any) -> None:
         self.session.set_model(self.session.model.model_copy(update={"camera": camera}))
 
     def _measure(self) -> None:
-        measurement, kind = self.session.measurement().recorded(), self.session.model.camera.type
+        measurement, kind = self.measurement().recorded(), self.session.model.camera.type
 
         def work(progress: Any, cancel: Any) -> Any:
             from napari_mufasa.calibrate.measure import calibrate
@@ -127,73 +161,3 @@ class DenoisePanel(Panel):
             )
 
         self.start("Measuring the camera", work, done)
-
-    def prepare(self) -> None:
-        measurement, camera = self.session.measurement().recorded(), self.session.model.camera
-        layer = self.session.movie_layer
-        assert layer is not None
-        space, name = like(layer), measurement.name
-        method, excess = self.settings()
-        residual = self.residual.isChecked()
-
-        def work(progress: Any, cancel: Any) -> Any:
-            from napari_mufasa.denoise import denoise
-
-            out = store_for(measurement.movie.shape)
-            result = denoise(
-                measurement.movie, camera, method=method, excess_noise=excess, progress=progress, cancel=cancel, out=out
-            )
-            return lazily(result)
-
-        def done(photons: Any) -> Generator[None, None, None]:
-            self.preview.switch.setChecked(False)
-            yield
-            if residual:
-                taken = taken_away(measurement.movie, camera, photons)
-                add_movie(self.viewer, taken, f"{name}, taken away", space, role="photons", visible=False)
-                yield
-            result = add_movie(self.viewer, photons, f"{name}, photons", space, role="photons", visible=False)
-            yield from shown_later(self.viewer, result)
-            self.session.set_result("denoised", True)
-            self.run_bar.say("Added: photons per pixel and frame.")
-
-        self.start("Denoising", work, done)
-
-
-def store_for(shape: tuple[int, ...]) -> Any:
-    """A zarr array in a temporary folder for results that are better not held in memory; None for the others."""
-    if 4 * int(np.prod(shape, dtype=np.int64)) <= IN_MEMORY_BYTES:
-        return None
-    import zarr
-
-    folder = tempfile.mkdtemp(prefix="mufasa-denoised-")
-    chunks = (min(16, shape[0]), *shape[1:])
-    return zarr.open(folder, mode="w", shape=shape, chunks=chunks, dtype="f4")
-
-
-def lazily(result: Any) -> Any:
-    """Stored results as dask, so that the viewer reads the frame it shows."""
-    if isinstance(result, np.ndarray):
-        return result
-    import dask.array
-
-    da: Any = dask.array  # its functions carry no types
-
-    return da.from_array(result, chunks=(1, *result.shape[1:]))
-
-
-def taken_away(movie: Any, camera: Any, photons: Any) -> Any:
-    """Recorded frames as photons less the denoised ones, frame by frame when looked at."""
-    import dask.array
-
-    da: Any = dask.array  # its functions carry no types
-
-    from napari_mufasa import camera as cam
-
-    one_frame = (1, *photons.shape[1:])
-    counts, after = da.asarray(movie).rechunk(one_frame), da.asarray(photons).rechunk(one_frame)
-
-    def difference(recorded: Any, denoised: Any) -> Any:
-        return np.asarray(cam.photons(cam.photoelectrons(recorded, camera), camera) - denoised, np.float32)
-
-    return da.map_blocks(difference, counts, after, dtype=np.float32)

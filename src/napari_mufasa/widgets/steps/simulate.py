@@ -1,96 +1,96 @@
-"""The Simulate widget: a movie from the believed model."""
+"""Simulate: a movie from the believed model, the true positions and, if asked for, the image before the camera."""
 
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from qtpy.QtWidgets import QCheckBox, QComboBox, QFormLayout, QSpinBox
+from napari.layers import Layer
 
 from napari_mufasa.files.layers import movie_space
-from napari_mufasa.widgets.parts.layers import add_movie, points_on
-from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.preferences import preference
-from napari_mufasa.widgets.steps.model import DerivedValues, ModelSource, PartEditor, section
-from napari_mufasa.widgets.turns.gently import gently, room_for, shown_later
+from napari_mufasa.widgets.parts.forms import step_form
+from napari_mufasa.widgets.parts.layers import added, movie_layer, points_on
+from napari_mufasa.widgets.parts.panel import Panel, section
+from napari_mufasa.widgets.parts.parameters import SEED, Believed, Molecules, Seed
+from napari_mufasa.widgets.parts.part_editor import DerivedValues, PartEditor
+from napari_mufasa.widgets.turns.steering import steering
+
+if TYPE_CHECKING:
+    from magicgui.widgets import FunctionGui
+    from napari.viewer import Viewer
+
+ACQUISITION = ("n_frames", "frame_length_s", "pixel_size_nm", "shape_px")
+
+
+def simulate(
+    model: Believed = None,
+    molecules: Molecules = None,
+    seed: Seed = 1,
+    engine: Annotated[
+        Literal["fast", "exact"],
+        {"label": "Engine", "tooltip": "exact draws every jump of every molecule; fast: the same statistics, sooner"},
+    ] = "fast",
+    positions: Annotated[bool, {"label": "also the true positions"}] = True,
+    optical: Annotated[bool, {"label": "also the image before the camera (photons)"}] = False,
+) -> list[Layer]:
+    """Simulate a movie: molecules, optics and camera of the model (none: preset FF), effects included.
+
+    Returns, as they lie on each other: the image before the camera, the movie, the true positions.
+    """
+    import pandas as pd
+
+    from napari_mufasa.model.presets import preset
+    from napari_mufasa.simulate.movie import simulate as run
+
+    progress, cancel = steering()
+    model = model if model is not None else preset("FF")
+    places = molecules.data[:, -2:] if molecules is not None else None
+    result = run(model, places, seed=seed, engine=engine, progress=progress, cancel=cancel)
+    space, name = movie_space(model.acquisition.pixel_size_nm), f"{model.protocol} simulated"
+    movie = movie_layer(result.movie, name, space, model, seed)
+    layers: list[Layer] = [movie]
+    if optical:
+        layers.insert(
+            0,
+            movie_layer(
+                result.optical, f"{name}, photons", space, model, seed, ours={"role": "photons"}, visible=False
+            ),
+        )
+    if positions:
+        photons = pd.DataFrame({"photons": result.emission[: len(result.positions_px)].sum(axis=1)})
+        layers.append(
+            points_on(
+                movie, result.positions_px, photons, f"{name}, true positions",
+                size=6, border_width=0.12, face_color="transparent", border_color="#5ec4ff", visible=False,
+            )
+        )  # fmt: skip
+    return layers
+
+
+def simulate_widget(viewer: Viewer | None = None, call_button: Any = "Simulate") -> FunctionGui[..., Any]:
+    return step_form(simulate, viewer, call_button, SEED)
 
 
 class SimulatePanel(Panel):
-    """Over `napari_mufasa.simulate`: movie, positions and, if asked for, the noise-free image."""
-
-    title = "Simulate"
     words = "Simulate a movie: molecules, optics and camera of the model, effects included."
-    run_label = "Simulate"
+    run_label, running = "Simulate", "Simulating"
+    form_factory = simulate_widget
 
     def build(self) -> None:
-        self.source = ModelSource(self.session)
-        self.column.addWidget(self.source)
-        self.acquisition = PartEditor(
-            self.session, "acquisition", ("n_frames", "frame_length_s", "pixel_size_nm", "shape_px")
-        )
-        self.sample = PartEditor(self.session, "sample")
-        for editor, name in ((self.acquisition, "Acquisition"), (self.sample, "Sample")):
-            self.column.addWidget(section(name, editor, True))
-        self.parts = {}
-        for part in ("fluorophore", "excitation", "optics", "camera"):
+        self.parts = {"acquisition": PartEditor(self.session, "acquisition", ACQUISITION)}
+        for part in ("sample", "fluorophore", "excitation", "optics", "camera"):
             self.parts[part] = PartEditor(self.session, part)
-            self.column.addWidget(section(part.capitalize(), self.parts[part], False))
-        self.column.addWidget(section("What follows", DerivedValues(self.session), False))
-        self.seed = QSpinBox()
-        self.seed.setRange(0, 2**31 - 1)
-        self.seed.setValue(int(preference("steps.seed")))
-        self.seed.setToolTip("The same seed gives the same movie")
-        self.engine = QComboBox()
-        self.engine.addItems(["fast", "exact"])
-        self.engine.setToolTip("exact draws every jump of every molecule; fast gives the same statistics, sooner")
-        self.optical = QCheckBox("also the image before the camera (photons)")
-        self.positions = QCheckBox("also the true positions")
-        self.positions.setChecked(True)
-        form = QFormLayout()
-        form.addRow("Seed", self.seed)
-        form.addRow("Engine", self.engine)
-        self.column.addLayout(form)
-        for widget in (self.positions, self.optical, self.run_bar):
-            self.column.addWidget(widget)
+        self.add(self.form.native, self.run_bar)
+        for part, editor in self.parts.items():
+            self.add(section(part.capitalize(), editor, part in ("acquisition", "sample")))
+        self.add(section("What follows", DerivedValues(self.session)))
         self.column.addStretch(1)
 
-    def prepare(self) -> None:
-        model, seed = self.session.model, self.seed.value()
-        exact = self.engine.currentText() == "exact"
-
-        def work(progress: Any, cancel: Any) -> Any:
-            from napari_mufasa.simulate.movie import simulate
-
-            return simulate(model, seed=seed, engine="exact" if exact else "fast", progress=progress, cancel=cancel)
-
-        self.start("Simulating", work, self._show)
-
-    def _show(self, result: Any) -> Generator[None, None, None]:
-        model, space = result.model, movie_space(result.model.acquisition.pixel_size_nm)
-        yield from room_for(self.viewer, result.movie.shape, space["scale"])
-        name = f"{model.protocol} simulated"
-        if self.optical.isChecked():
-            add_movie(
-                self.viewer, result.optical, f"{name}, photons", space, model, result.seed,
-                role="photons", visible=False,
-            )  # fmt: skip
-            yield
-        movie = add_movie(self.viewer, result.movie, name, space, model, result.seed, visible=False)
-        yield from shown_later(self.viewer, movie)
+    def take(self, layers: list[Any]) -> Generator[None, None, None]:
+        movie = next(layer for layer in layers if layer.name.endswith("simulated"))
+        yield from added(self.viewer, layers)
         self.session.set_movie(movie)
+        if movie in self.viewer.layers:
+            self.viewer.layers.selection.active = movie
         self.viewer.dims.set_point(0, 0)
-        yield
-        if self.positions.isChecked():
-            import pandas as pd
-
-            photons = pd.DataFrame({"photons": result.emission[: len(result.positions_px)].sum(axis=1)})
-            points = points_on(
-                movie, result.positions_px, photons, f"{name}, true positions",
-                size=6, border_width=0.12, face_color="transparent", border_color="#5ec4ff", visible=False,
-            )  # fmt: skip
-            with gently(self.viewer):
-                self.viewer.add_layer(points)
-            if movie in self.viewer.layers:
-                self.viewer.layers.selection.active = movie
-            yield
-        self.run_bar.say(f"{model.acquisition.n_frames} frames, {len(result.positions_px)} molecules.")
+        self.run_bar.say(f"{len(movie.data)} frames.")

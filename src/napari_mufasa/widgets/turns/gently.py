@@ -1,92 +1,93 @@
-"""napari makes a layer in one long call; here it is done in turns, while the interface lives on."""
+"""napari makes a layer in one long call; here it is done in turns, while the interface lives on.
+
+napari alone stands still for 0.2 to 0.5 s for a layer (docs/viewer.md has the numbers), and offers no public way to
+take that apart. So this module, and no other, reaches into napari where `Inside` says. It does so only in versions
+below `NAPARI_BELOW`, in which all that it names was found; in any other, or where a name is missing, layers are added
+napari's own way: everything works, and the interface stands still for as long as napari needs.
+"""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Generator, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakSet, ref
 
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFrame
 
 if TYPE_CHECKING:
-    from napari.components import LayerList
     from napari.layers import Layer, Points
     from napari.viewer import Viewer
 
+NAPARI_BELOW = (0, 10)  # not yet looked at
 NEXT_TURN_MS = 5  # less than a run's parts are apart
+
+
+class Inside(NamedTuple):
+    """What of napari is no public interface: the window, the controls of layers, the drawn layers, one event."""
+
+    window: Any
+    controls: Any
+    drawn: Any
+    current: Any  # emitted when the current layer of the selection changes
+
+
+def inside(viewer: Viewer) -> Inside | None:
+    """Where to take hold of a viewer; None where napari is another than the one this was written for."""
+    import napari
+
+    try:
+        if tuple(int(part) for part in napari.__version__.split(".")[:2]) >= NAPARI_BELOW:
+            return None
+        window: Any = viewer.window._qt_window
+        qt, current = window._qt_viewer, viewer.layers.selection.events._current
+        controls = qt.controls
+        if not all(hasattr(controls, name) for name in ("_add", "_populate", "widgets", "addWidget")):
+            return None
+        return Inside(window, controls, qt.canvas.layer_to_visual, current)
+    except (AttributeError, ValueError):
+        return None
 
 
 @contextlib.contextmanager
 def gently(viewer: Viewer) -> Iterator[None]:
     """Add layers here: who follows the selection is told, their controls and the window's next picture are made when
-    the interface had its turn.
-
-    In napari's own call what draws the layer, the news of its selection, its controls and, with software rendering, its
-    first picture follow each other without a break.
-    """
-    window: Any = getattr(getattr(viewer, "window", None), "_qt_window", None)
-    if window is None:  # a viewer without a window
+    the interface had its turn."""
+    found = inside(viewer)
+    if found is None:
         yield
         return
-    rest = _Rest(window, viewer.layers)
-    window.setUpdatesEnabled(False)
+    rest = _Rest(found, viewer)
+    events, inserted = viewer.layers.selection.events, viewer.layers.events.inserted
+    found.window.setUpdatesEnabled(False)
+    inserted.connect(rest.stand_in)
     try:
-        with rest.instead_of_controls(viewer.layers), rest.untold(viewer.layers):
+        with (
+            inserted.blocker(found.controls._add), events.changed.blocker(), events.active.blocker(),
+            found.current.blocker(),
+        ):  # fmt: skip
             yield
     finally:
+        inserted.disconnect(rest.stand_in)
         rest.in_next_turn()
 
 
 class _Rest:
-    """What is left to do after layers were added: until it is done, empty frames stand in for their controls.
+    """What is left to do after layers were added; until it is done, empty frames stand in for their controls."""
 
-    Leaves the controls to napari where they are kept elsewhere than in version 0.9.
-    """
-
-    def __init__(self, window: Any, layers: LayerList) -> None:
-        self._window, self._layers = ref(window), ref(layers)  # a timer must not keep what is closed
-        self._told: WeakSet[Any] | None = WeakSet(layers.selection)  # the selection that others know of; None: all
+    def __init__(self, found: Inside, viewer: Viewer) -> None:
+        # A timer must not keep what is closed.
+        self._window, self._controls, self._layers = ref(found.window), ref(found.controls), ref(viewer.layers)
+        self._told: WeakSet[Any] | None = WeakSet(viewer.layers.selection)  # what others know of; None: all
         self._waiting: list[tuple[Any, QFrame]] = []  # the event of a layer's insertion, and its stand-in
 
-    @property
-    def _controls(self) -> Any:
-        return getattr(getattr(self._window(), "_qt_viewer", None), "controls", None)
-
-    @contextlib.contextmanager
-    def instead_of_controls(self, layers: LayerList) -> Iterator[None]:
-        controls, inserted = self._controls, layers.events.inserted
-        if not all(hasattr(controls, name) for name in ("_add", "_populate", "widgets")):
-            yield
-            return
-        inserted.connect(self._stand_in)
-        try:
-            with inserted.blocker(controls._add):
-                yield
-        finally:
-            inserted.disconnect(self._stand_in)
-
-    @contextlib.contextmanager
-    def untold(self, layers: LayerList) -> Iterator[None]:
-        """The selection changes, and nobody is told."""
-        events = layers.selection.events
-        with events.changed.blocker(), events.active.blocker(), events._current.blocker():
-            yield
-
-    def _tell(self, layers: LayerList) -> None:
-        """The selection's change, in one."""
-        selection, before = layers.selection, set(self._told or ())
-        self._told = None
-        selection.events.changed(added=selection - before, removed=before - selection)
-        selection.events._current(value=selection._current)
-        selection.events.active(value=selection.active)
-
-    def _stand_in(self, event: Any) -> None:
-        frame, controls = QFrame(), self._controls
-        controls.addWidget(frame)
-        controls.widgets[event.value] = frame
-        self._waiting.append((event, frame))
+    def stand_in(self, event: Any) -> None:
+        frame, controls = QFrame(), self._controls()
+        if controls is not None:
+            controls.addWidget(frame)
+            controls.widgets[event.value] = frame
+            self._waiting.append((event, frame))
 
     def in_next_turn(self) -> None:
         QTimer.singleShot(NEXT_TURN_MS, lambda: self._go_on())  # Qt would hold the method alone weakly
@@ -94,25 +95,33 @@ class _Rest:
     def _go_on(self) -> None:
         """The selection, the controls of one layer each turn, then the picture."""
         window, layers = self._window(), self._layers()
+        if window is None or layers is None:
+            return
         with contextlib.suppress(RuntimeError):  # closed meanwhile
-            if window is not None and layers is not None and self._told is not None:
-                self._tell(layers)
-                self.in_next_turn()
-            elif window is not None and self._waiting:
+            if self._told is not None:
+                self._tell(layers.selection, set(self._told))
+            elif self._waiting:
                 self._replace(*self._waiting.pop(0))
-                self.in_next_turn()
-            elif window is not None:
+            else:
                 window.setUpdatesEnabled(True)
+                return
+            self.in_next_turn()
+
+    def _tell(self, selection: Any, before: set[Any]) -> None:
+        """The selection's change, in one."""
+        self._told = None
+        selection.events.changed(added=selection - before, removed=before - selection)
+        selection.events._current(value=selection._current)
+        selection.events.active(value=selection.active)
 
     def _replace(self, event: Any, frame: QFrame) -> None:
-        layer, controls = event.value, self._controls
-        if controls.widgets.get(layer) is not frame:  # the layer was taken out meanwhile
-            return
-        del controls.widgets[layer]
-        controls._add(event)
-        controls._populate()
-        controls.removeWidget(frame)
-        frame.deleteLater()
+        controls: Any = self._controls()
+        if controls.widgets.get(event.value) is frame:  # else the layer was taken out meanwhile
+            del controls.widgets[event.value]
+            controls._add(event)
+            controls._populate()
+            controls.removeWidget(frame)
+            frame.deleteLater()
 
 
 def room_for(viewer: Viewer, shape: tuple[int, ...], scale: Any = None) -> Generator[None, None, None]:
@@ -162,8 +171,6 @@ def without_labels(viewer: Viewer, points: Points) -> None:
 
 
 def _drawn(viewer: Viewer, layer: Layer) -> Any:
-    """What vispy draws of a layer; None when there is no window or napari keeps it elsewhere."""
-    with contextlib.suppress(AttributeError, KeyError):
-        window: Any = viewer.window._qt_viewer
-        return window.canvas.layer_to_visual[layer].node
-    return None
+    """What vispy draws of a layer; None where it cannot be had."""
+    found = inside(viewer)
+    return getattr(found.drawn.get(layer), "node", None) if found is not None else None

@@ -1,23 +1,24 @@
-"""Long work in the background: real progress, a Cancel that acts at once, errors as notifications with the remedy."""
+"""Long work in the background: real progress, a Cancel that acts at once, errors as notifications with the remedy.
+
+The work runs beside the interface as any thread does. When Python collects its garbage meanwhile, all threads wait: a
+full collection of napari's objects takes some 160 ms, and is left to come when it comes.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import gc
 import queue
 import threading
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from qtpy.QtCore import QObject, Qt, QTimer, Signal  # type: ignore[attr-defined]
+from qtpy.QtCore import Qt, QTimer, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.widgets.turns.courtesy import courteous, step_back
+from napari_mufasa.widgets.turns.steering import Cancel, Progress
 
-Progress = Callable[[int, int], None]
-Cancel = Callable[[], bool]
 Work = Callable[[Progress, Cancel], Any]
 POLL_S = 0.05
 TWENTIETHS = 20  # steps of the progress bars: napari draws its own at each
@@ -42,9 +43,7 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
 
     def run() -> None:
         try:
-            step_back()
-            with courteous():
-                outcome = Outcome(work(lambda done, total: news.put((done, total)), stop))
+            outcome = Outcome(work(lambda done, total: news.put((done, total)), stop))
         except BaseException as error:  # handed to the interface, which tells the user
             outcome = Outcome(error=error)
         news.put(outcome)
@@ -108,7 +107,6 @@ class RunBar(QWidget):
         self._breath.timeout.connect(self._go_on)
         self._done: Callable[[Any], Any] | None = None
         self._outcome: Outcome | None = None
-        self.destroyed.connect(gc.unfreeze)
         self._show_running(False)
 
     @property
@@ -133,7 +131,6 @@ class RunBar(QWidget):
         worker.finished.connect(self._on_finished)
         # A closed dock must not leave work behind.
         self.destroyed.connect(worker.quit)
-        gc.freeze()
         self.say(f"{title} …")
         self._show_running(True)
         worker.start()
@@ -179,7 +176,6 @@ class RunBar(QWidget):
             self._rest = _in_turns(done, outcome.value)
             self._breath.start()  # napari's own end of a run comes first
             return
-        gc.unfreeze()  # what a run leaves that did not end well is to be collected
         self._end()
 
     def _go_on(self) -> None:
@@ -234,20 +230,3 @@ def report_error(error: BaseException) -> str:
         return str(error)
     notification_manager.dispatch(ErrorNotification(error))
     return f"Unexpected {type(error).__name__}: {error}. The notification has the details to report."
-
-
-class Quiet(QObject):
-    """``with quiet:`` – changes made by code, which must not be taken for the user's."""
-
-    def __init__(self, parent: QObject | None = None) -> None:
-        super().__init__(parent)
-        self.active = False
-
-    def __enter__(self) -> None:
-        self.active = True
-
-    def __exit__(self, *_: object) -> None:
-        self.active = False
-
-    def __bool__(self) -> bool:
-        return self.active

@@ -10,7 +10,6 @@ from typing import Any
 from qtpy.QtCore import QObject, QTimer, Signal  # type: ignore[attr-defined]
 
 from napari_mufasa.errors import Cancelled
-from napari_mufasa.widgets.turns.courtesy import courteous
 from napari_mufasa.widgets.turns.jobs import Outcome
 
 Work = Callable[[Callable[[], bool]], Any]
@@ -60,8 +59,7 @@ class Latest(QObject):
 
         def run() -> None:
             try:
-                with courteous():
-                    outcome = Outcome(work(lambda: self._number != number))
+                outcome = Outcome(work(lambda: self._number != number))
             except BaseException as error:  # handed to the interface
                 outcome = Outcome(error=error)
             with contextlib.suppress(RuntimeError):  # the panel is gone

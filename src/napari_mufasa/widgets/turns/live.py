@@ -7,15 +7,21 @@ from typing import TYPE_CHECKING, Any
 from qtpy.QtCore import QObject, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QLabel
 
+from napari_mufasa.report.lines import live_line
 from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.turns.latest import Latest
+from napari_mufasa.widgets.turns.session import Session
 
 if TYPE_CHECKING:
     from napari_mufasa.compare.quick import QuickDistance
-    from napari_mufasa.widgets.turns.session import Session
 
 WAIT_MS = 250
 NOT_YET = "Distance to the measurement: extract traces (step Molecules) or compare once to see it live."
+
+
+def live_of(session: Session) -> LiveDistance:
+    """The one live distance of a session, made when it is first asked for."""
+    return session.findChild(LiveDistance) or LiveDistance(session)
 
 
 class LiveDistance(QObject):
@@ -80,11 +86,7 @@ class LiveDistance(QObject):
             return f"Distance to the measurement: {self.problem}"
         if self.distance is None:
             return "Distance to the measurement: …"
-        w1, floor = self.distance.w1, self.distance.floor
-        # A model at the floor scores anything up to about the largest distance of two halves.
-        at = " – at the floor" if w1 <= floor.high else f" – {w1 / max(floor.value, 1e-9):.1f} × the floor"
-        dots = " …" if self.busy else ""
-        return f"W1 now <b>{w1:.2f}</b>, floor {floor.value:.2f} e⁻ per frame{at}{dots}"
+        return live_line(self.distance.w1, self.distance.floor, self.busy)
 
     def _on_change(self) -> None:
         self._stale = True
@@ -115,7 +117,7 @@ class LiveLine(QLabel):
 
     def __init__(self, session: Session) -> None:
         super().__init__()
-        self.live = session.live
+        self.live = live_of(session)
         self.setWordWrap(True)
         self.setToolTip(
             "From about 64 simulated molecules and some frames of the movie, for the eye while a value is changed. "

@@ -5,7 +5,6 @@ Every panel works alone; a value set in one is the value of all others, because 
 
 from __future__ import annotations
 
-import gc
 import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from napari.viewer import Viewer
 
     from napari_mufasa.model.model import Model
-    from napari_mufasa.widgets.turns.live import LiveDistance
 
 
 @dataclass(frozen=True)
@@ -46,33 +44,54 @@ class Measurement:
         return self
 
 
+def measurement_of(movie: Image | None, dark: Image | None = None, dark_frames: int = 0) -> Measurement:
+    """What layers hold as a measurement; raises `MufasaError` that says what to choose.
+
+    dark : a layer of dark frames; dark_frames : or how many frames of the movie are dark, at its beginning
+    """
+    if movie is None:
+        raise MufasaError("no movie chosen: open one, or File > Open Sample > MUFASA, then choose it in step Data")
+    stack, frames, first = stack_of(movie), None, 0
+    if dark is not None:
+        frames = stack_of(dark)
+    elif dark_frames:
+        first = dark_frames
+        if first >= len(stack):
+            raise MufasaError(
+                f"the first {first} frames are called dark, but {movie.name} has {len(stack)}: give fewer dark frames"
+            )
+        stack, frames = stack[first:], stack[:first]
+    unit: Literal["adu", "photons"] = "photons" if stored(movie, "role") == "photons" else "adu"
+    return Measurement(stack, frames, movie.name, unit, first)
+
+
+def believed(model: Model | None, movie: Image | None = None) -> Model:
+    """The model given, or the one in the movie's metadata; raises `MufasaError` where there is neither."""
+    found = model if model is not None else model_in(movie) if movie is not None else None
+    if found is None:
+        where = f"layer {movie.name}" if movie is not None else "no movie is chosen, so it"
+        raise MufasaError(f"{where} carries no model: choose a preset or a model.json")
+    return found
+
+
 class Session(QObject):
-    """The shared state of one viewer. Signals tell the panels what changed."""
+    """The shared state of one viewer, or of a form by itself. Signals tell the panels what changed."""
 
     model_changed = Signal()
     movie_changed = Signal()
     result_changed = Signal(str)
 
-    def __init__(self, viewer: Viewer) -> None:
+    def __init__(self, viewer: Viewer | None = None) -> None:
         super().__init__()
-        self._viewer = weakref.ref(viewer)
-        viewer.layers.events.removed.connect(lambda _event: gc.unfreeze())  # set aside by a run, see `RunBar`
+        self._viewer = weakref.ref(viewer) if viewer is not None else lambda: None
+        self.has_viewer = viewer is not None
         self._model: Model | None = None
         self.model_origin = ""
+        self.model_chosen = False  # whether anyone said which model is believed
         self._movie: weakref.ref[Image] | None = None
         self._dark: weakref.ref[Image] | None = None
-        self.first_dark_frames = 0
+        self.dark_frames = 0
         self.results: dict[str, Any] = {}
-        self._live: LiveDistance | None = None
-
-    @property
-    def live(self) -> LiveDistance:
-        """The distance of the model as it is being edited, for whoever shows it."""
-        from napari_mufasa.widgets.turns.live import LiveDistance
-
-        if self._live is None:
-            self._live = LiveDistance(self)
-        return self._live
 
     @property
     def viewer(self) -> Viewer:
@@ -91,19 +110,25 @@ class Session(QObject):
             self._model, self.model_origin = preset("FF"), "preset FF"
         return self._model
 
-    @property
-    def model_chosen(self) -> bool:
-        """Whether anyone said which model is believed."""
-        return self._model is not None and bool(self.results.get("model chosen"))
-
     def set_model(self, model: Model, origin: str | None = None) -> None:
-        self.results["model chosen"] = True
+        self.model_chosen = True
         if origin is not None:
             self.model_origin = origin
         if self._model is not None and model == self._model and origin is None:
             return
         self._model = model
         self.model_changed.emit()
+
+    def forget_model(self) -> None:
+        """As if none had been chosen."""
+        self._model, self.model_origin, self.model_chosen = None, "", False
+        self.model_changed.emit()
+
+    def take_model_of_movie(self) -> None:
+        """Believe the model in the movie's metadata; raises `MufasaError` where there is none."""
+        layer = self.movie_layer
+        model = believed(None, layer)
+        self.set_model(model, f"metadata of {layer.name if layer is not None else 'the movie'}")
 
     # the measurement ------------------------------------------------------------------------------
     @property
@@ -133,38 +158,13 @@ class Session(QObject):
         self._dark = weakref.ref(layer) if layer is not None else None
         self.movie_changed.emit()
 
-    def set_first_dark_frames(self, n: int) -> None:
-        self.first_dark_frames = n
+    def set_dark_frames(self, n: int) -> None:
+        self.dark_frames = n
         self.movie_changed.emit()
 
     def measurement(self) -> Measurement:
         """Movie and dark frames as chosen; raises `MufasaError` that says what to choose."""
-        layer = self.movie_layer
-        if layer is None:
-            raise MufasaError("no movie chosen: open one, or File > Open Sample > MUFASA, then choose it in step Data")
-        movie, dark, first = stack_of(layer), None, 0
-        if self.dark_layer is not None:
-            dark = stack_of(self.dark_layer)
-        elif self.first_dark_frames:
-            n = self.first_dark_frames
-            if n >= len(movie):
-                raise MufasaError(
-                    f"the first {n} frames are called dark, but {layer.name} has {len(movie)}: give fewer dark frames"
-                )
-            movie, dark, first = movie[n:], movie[:n], n
-        unit: Literal["adu", "photons"] = "photons" if stored(layer, "role") == "photons" else "adu"
-        return Measurement(movie, dark, layer.name, unit, first)
-
-    def matching_model(self, movie: Any) -> Model:
-        """The believed model with the movie's own number of frames and detector shape."""
-        frames, *shape = movie.shape
-        model = self.model
-        values: dict[str, Any] = {}
-        if frames != model.acquisition.n_frames:
-            values["acquisition.n_frames"] = int(frames)
-        if tuple(shape) != tuple(model.acquisition.shape_px):
-            values["acquisition.shape_px"] = tuple(int(n) for n in shape)
-        return model.with_values(values) if values else model
+        return measurement_of(self.movie_layer, self.dark_layer, self.dark_frames)
 
     def set_result(self, name: str, value: Any) -> None:
         self.results[name] = value

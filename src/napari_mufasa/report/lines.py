@@ -1,0 +1,68 @@
+"""Results in lines of text for the viewer: a comparison, a molecule, where a model fails."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.report.fields import number_text
+
+if TYPE_CHECKING:
+    from napari_mufasa.compare import Comparison
+    from napari_mufasa.compare.wasserstein import Floor
+
+
+def comparison_table(comparison: Comparison) -> str:
+    """Every model's distance to the measurement with its interval, and the floor, as HTML."""
+    from napari_mufasa.report.plots.emission import MODELS
+
+    rows = []
+    for name in ("mufasa", "fitted", "poisson", "sofi"):
+        if comparison.w1.get(name) is not None:
+            low, high = comparison.w1_interval[name]
+            words = f"{number_text(round(comparison.w1[name], 2))} ({low:.2f} … {high:.2f})"
+            rows.append(f"<tr><td>{MODELS[name]}&nbsp;&nbsp;</td><td><b>{words}</b></td></tr>")
+    floor, molecules = comparison.floor, len(comparison.samples["measured"].traces)
+    rows.append(f"<tr><td>floor</td><td>{floor.value:.2f} ({floor.low:.2f} … {floor.high:.2f})</td></tr>")
+    head = f"W1 distance in {comparison.w1['unit']}, {molecules} molecules (95 % interval)"
+    return f"{head}<table>{''.join(rows)}</table>" + "".join(f"<br>{note}" for note in comparison.notes)
+
+
+def molecule_line(row: Any) -> str:
+    """A row of a table of molecules, as HTML."""
+    verdict = "kept" if row["kept"] else f"rejected: {row['reason']}"
+    bleached = int(row["bleaching_frame"])
+    return (
+        f"<b>Molecule {row['molecule']}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · "
+        f"{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
+        f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
+    )
+
+
+def map_line(layer: str, z: NDArray[Any], where: str) -> str:
+    """What a map of misfit (in sd) shows; `where`: its worst stretch, if it has any."""
+    off = float((np.abs(z) > 4).mean())
+    return (
+        f"Layer “{layer}”: measured − model in sd (green more, pink less); "
+        f"{off:.1%} of the pixels are more than 4 sd off{where}."
+    )
+
+
+def molecules_line(layer: str, table: Any, number: str) -> str:
+    """What a layer of molecules coloured by their misfit in a number (a column of `Places.molecules`) shows."""
+    z = table[number].to_numpy(float)
+    worst = table.iloc[int(np.argmax(np.abs(z)))]
+    return (
+        f"Layer “{layer}”: each molecule against the model's (green more, pink less); "
+        f"{int((np.abs(z) > 3).sum())} of {len(z)} are more than 3 sd off, farthest at "
+        f"y {worst['y_px']:.0f}, x {worst['x_px']:.0f} px."
+    )
+
+
+def live_line(w1: float, floor: Floor, busy: bool) -> str:
+    """The distance of a model that is being edited, as HTML."""
+    # A model at the floor scores anything up to about the largest distance of two halves.
+    at = " – at the floor" if w1 <= floor.high else f" – {w1 / max(floor.value, 1e-9):.1f} × the floor"
+    return f"W1 now <b>{w1:.2f}</b>, floor {floor.value:.2f} e⁻ per frame{at}{' …' if busy else ''}"

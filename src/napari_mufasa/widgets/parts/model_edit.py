@@ -1,0 +1,134 @@
+"""The widget of a parameter that is a model: a preset, a model.json, or what the movie's metadata say."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from magicgui.types import Undefined
+from magicgui.widgets import ComboBox, Container, PushButton
+from magicgui.widgets.bases import ValuedContainerWidget
+from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy
+
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.model.presets import PRESETS
+from napari_mufasa.widgets.turns.session import Session
+
+FROM_FILE = "model.json …"
+FROM_LAYER = "from the movie's metadata"
+
+
+class ModelEdit(ValuedContainerWidget[Any]):
+    """A `Model`, or None: the one in the movie's metadata. Set it to a model, its data, a preset's name or a path.
+
+    `follow` makes it the model of a viewer's session.
+    """
+
+    def __init__(self, value: Any = Undefined, **options: Any) -> None:
+        self.session = Session()
+        self.source: Any = ComboBox(choices=[FROM_LAYER, *PRESETS, FROM_FILE], tooltip="Where the model comes from")
+        self.save_button = PushButton(text="Save …", tooltip="Write the model as model.json")
+        self.save_button.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
+        self.origin = QLabel()
+        self.origin.setWordWrap(True)
+        row = Container(widgets=[self.source, self.save_button], layout="horizontal", labels=False)
+        row.margins = (0, 0, 0, 0)
+        super().__init__(widgets=[row], labels=False, **options)
+        self.margins = (0, 0, 0, 0)
+        self.native.layout().addWidget(self.origin)
+        self.source.native.setAccessibleName("Model")
+        self.source.native.activated.connect(lambda _index: self._reporting(self._on_chosen))
+        self.save_button.changed.connect(lambda: self._reporting(self._save))
+        self.session.model_changed.connect(self._show)
+        if value is not Undefined:
+            self.value = value
+        self._show()
+
+    def follow(self, session: Session) -> None:
+        """Take part in the session of a viewer."""
+        self.session.model_changed.disconnect(self._show)
+        self.session = session
+        session.model_changed.connect(self._show)
+        self.native.destroyed.connect(self._leave)
+        self._show()
+
+    def get_value(self) -> Any:
+        return self.session.model if self.session.model_chosen or self.session.has_viewer else None
+
+    def set_value(self, value: Any) -> None:
+        from napari_mufasa.model.model import Model
+        from napari_mufasa.model.presets import preset
+
+        if value is None:
+            self.session.forget_model()
+        elif isinstance(value, Model):
+            self.session.set_model(value, "as given")
+        elif isinstance(value, Mapping):
+            self.session.set_model(Model.from_dict(value), "as given")
+        elif value in PRESETS:
+            self.session.set_model(preset(value), f"preset {value}")
+        elif isinstance(value, (str, os.PathLike)):
+            self.session.set_model(Model.from_json(value), Path(value).name)
+        else:
+            raise MufasaError(f"model is a {type(value).__name__}: give a Model, a preset's name or a model.json")
+
+    def choose(self, name: str) -> None:
+        """As if the user had chosen `name` from the list."""
+        self.source.value = name
+        self._reporting(self._on_chosen)
+
+    def open_file(self, path: str) -> None:
+        self._reporting(lambda: self.set_value(Path(path)))
+
+    def _on_chosen(self) -> None:
+        name = self.source.value
+        if name == FROM_FILE:
+            path, _ = QFileDialog.getOpenFileName(self.native, "Believed model", filter="Model (*.json)")
+            if path:
+                self.set_value(Path(path))
+        elif name == FROM_LAYER and self.session.has_viewer:
+            self.session.take_model_of_movie()
+        else:
+            self.set_value(None if name == FROM_LAYER else name)
+        self._show()
+
+    def _save(self) -> None:
+        if self.value is None:
+            raise MufasaError("no model is chosen: choose one first")
+        path, _ = QFileDialog.getSaveFileName(self.native, "Save model", "model.json", filter="Model (*.json)")
+        if path:
+            self.value.to_json(path)
+
+    def _reporting(self, action: Any) -> None:
+        from napari_mufasa.widgets.turns.jobs import report_error
+
+        try:
+            action()
+        except MufasaError as error:
+            report_error(error)
+            self._show()
+
+    def _leave(self, *_: Any) -> None:
+        with contextlib.suppress(TypeError, RuntimeError):  # already gone
+            self.session.model_changed.disconnect(self._show)
+
+    def _show(self) -> None:
+        model = self.get_value()
+        origin = self.session.model_origin if model is not None else ""
+        plain = origin.removeprefix("preset ")
+        known = plain if plain in PRESETS else FROM_LAYER if not origin or origin.startswith("metadata of") else ""
+        combo = self.source.native
+        combo.setPlaceholderText(origin)
+        blocked = combo.blockSignals(True)
+        combo.setCurrentIndex(combo.findText(known))  # -1 shows the placeholder
+        combo.blockSignals(blocked)
+        words = ""
+        if model is not None:
+            effects = ", ".join((effect.title or effect.kind).lower() for effect in model.effects)
+            words = f"{origin} · {model.protocol}, {model.camera.type}" + (f" · with {effects}" if effects else "")
+        self.origin.setText(words)
+        self.origin.setVisible(bool(words))
+        self.changed.emit(model)
