@@ -129,7 +129,7 @@ class Investigation:
     @property
     def model(self) -> Model:
         """The model as it stands, its free values at their best."""
-        return self.state.moved(self.state.profiled(self.x).moves)
+        return self.state.model_at(self.state.adjusted(self.x).moves)
 
     @property
     def explained(self) -> float:
@@ -170,7 +170,7 @@ class Investigation:
             + nearing.descending_simulations(n_free)
             + library.expected_simulations(kinds, n_free)
         )
-        model = nearing.rematched(self.library, self.state, self.model, self.x)
+        model = nearing.nearer(self.library, self.state, self.model, self.x)
         model = nearing.descended(self.library, self.state, model, self.x)
         near = library.build(self.bench, model, kinds, self.chosen, self.state.values)
         self.views[-1] = View(near, near.base)
@@ -252,7 +252,7 @@ class Investigation:
         if kind not in self.contest.tried:
             self.approach()
         if isinstance(what, Effect):
-            found = fit.refine(self.library, self.state, what, self.x)
+            found = fit.fit_effect(self.library, self.state, what, self.x)
         else:
             found = self.contest.fitted(self._starts(kind))
         found = self.contest.tried[kind] = self.contest.settled(found)
@@ -292,7 +292,7 @@ class Investigation:
         library = replace(self.library, rays=base.library.rays | self.library.rays)
         alone = fit.without(library, self.state, first, fit.n_effect(self.fits[1]), self.x)
         contest = Contest(library, alone.state, self.x, lambda: self.null)
-        contest.tried[first] = fit.refine(library, alone.state, self.fits[0].effect, self.x)
+        contest.tried[first] = fit.fit_effect(library, alone.state, self.fits[0].effect, self.x)
         contest.run(self._leads(alone.state, {kind: library.rays[kind] for kind in rivals}), None)
         best = min(contest.tried, key=lambda kind: contest.tried[kind].score)
         if best == first:

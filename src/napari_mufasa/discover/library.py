@@ -2,7 +2,7 @@
 
 An effect enters as rays: simulations at a few strengths, shapes and forms, each minus the base simulation
 of the same seed. Along a ray the shift grows with strength. A ray that explains the residual is a lead; the
-fit (`fit.refine`) decides.
+fit (`fit.fit_effect`) decides.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.bench import Bench
-from napari_mufasa.discover.coordinates import Coordinate, changed, moved
+from napari_mufasa.discover.coordinates import Coordinate, changed, model_at
 from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
 from napari_mufasa.discover.metric import (
     shrunk_correlation,
@@ -101,7 +101,7 @@ def build(
     steps = free_steps(model, values, free)
     rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    slopes = derivatives(bench, lambda by: moved(model, values, free, by), steps, rows)
+    slopes = derivatives(bench, lambda by: model_at(model, values, free, by), steps, rows)
     blank = np.zeros(rows.shape[1:])
     least = spread_floor(bench.names)
     bare = State(model, blank, blank, slopes, prior, blank, check, tuple(free), least, tuple(values))

@@ -31,11 +31,11 @@ def matched(bench: Bench, model: Model) -> Model:
     model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
     for turn in range(MATCHING_ROUNDS):
         rows = bench.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
-        model = nuisance.match(model, measured, as_table(bench.names, rows[:, 0].mean(axis=0)))
+        model = nuisance.moment_step(model, measured, as_table(bench.names, rows[:, 0].mean(axis=0)))
     return model
 
 
-def rematched(library: Library, state: State, model: Model, x: Array) -> Model:
+def nearer(library: Library, state: State, model: Model, x: Array) -> Model:
     """The model, or the same with its nuisance values matched again: whichever a few simulations put nearer to the
     measurement x. Hidden effects can lead the first match astray: a pattern of the sensor passes for dim molecules.
 
@@ -53,10 +53,10 @@ def descended(library: Library, state: State, model: Model, x: Array) -> Model:
     here = _seen(library, state, model)
     for _ in range(DESCENTS):
         steps = free_steps(here.model, here.values, here.free)
-        slopes = derivatives(library.bench, here.moved, steps, here.check)
-        moves = replace(here, slopes=slopes).profiled(x).moves
+        slopes = derivatives(library.bench, here.model_at, steps, here.check)
+        moves = replace(here, slopes=slopes).adjusted(x).moves
         for share in SHARES:
-            there = _seen(library, here, here.moved(share * moves))
+            there = _seen(library, here, here.model_at(share * moves))
             nearer = _unmoved(there, x) < NEARER * _unmoved(here, x)
             if nearer:
                 break
@@ -83,8 +83,8 @@ def matching_simulations() -> int:
     return 2 * MATCHING_ROUNDS
 
 
-def rematching_simulations() -> int:
-    """How many simulations `rematched` makes."""
+def nearing_simulations() -> int:
+    """How many simulations `nearer` makes."""
     return matching_simulations() + 2 * TRIALS
 
 

@@ -70,7 +70,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
     before = inquiry.bench.observations([(base.model, k) for k in numbers])
     after = inquiry.bench.observations([(model, k) for k in numbers]) if inquiry.chosen else before
     interval = inquiry.believed.acquisition.interval_s
-    verdict = verdict or judge(inquiry, errors, floor)
+    verdict = verdict or verdict_of(inquiry, errors, floor)
     completed = _restored(model, inquiry.believed)
     return Report(
         verdict=verdict,
@@ -97,7 +97,7 @@ def _as_it_stands(candidate: Candidate, model: Model) -> Candidate:
     return candidate if effect is None else replace(candidate, parameters=effect.parameters())
 
 
-def judge(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
+def verdict_of(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
     """adequate, missing_effect or unexplained (DISCOVERY.md, decision rules)."""
     if not inquiry.chosen:
         if not inquiry.alarmed():
@@ -117,7 +117,7 @@ def judge(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
 
 def _one_is_off(state: State, x: NDArray[np.float64]) -> bool:
     """Is one observable so far off that chance would leave none of them there?"""
-    off = np.abs(state.profiled(x).soft)
+    off = np.abs(state.adjusted(x).soft)
     return bool(off.max() > stats.norm.isf(STILL_OFF / (2 * off.size)))
 
 
@@ -148,7 +148,7 @@ def _table(inquiry: Standing, final: State) -> pd.DataFrame:
     rows = []
     means, scores = [], []
     for state in (base, final):
-        moves = state.profiled(inquiry.x).moves
+        moves = state.adjusted(inquiry.x).moves
         mean = state.mean[0] + state.slopes[0] @ moves
         means.append(mean)
         scores.append((inquiry.x[0] - mean) / state.spread[0])
