@@ -97,7 +97,7 @@ class Contest:
         for turn in range(2):
             if self._content(found) or (turn and not fit.lies_beyond(found, self.x)):
                 break
-            self.library.bench.plan(fit.sharpening_simulations(len(found.state.free)))
+            self.library.bench.plan(fit.sharpening_simulations(self.library, len(found.state.free)))
             again = fit.sharpen(self.library, found, self.x, anew=True)
             if again.score >= found.score:
                 break
@@ -164,5 +164,5 @@ def _worth_a_fit(leads: dict[str, list[Lead]], needed: dict[str, float] | None) 
 
 def sharpened(library: Library, fits: Sequence[Fit], x: Array) -> list[Fit]:
     """Fits judged by more simulations."""
-    library.bench.plan(len(fits) * fit.sharpening_simulations())
+    library.bench.plan(len(fits) * fit.sharpening_simulations(library))
     return [fit.sharpen(library, found, x) for found in fits]

@@ -22,7 +22,6 @@ from napari_mufasa.discover.library import (
 )
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.discover.nearing import nearer, nearing_simulations
-from napari_mufasa.discover.read_off import read_off
 from napari_mufasa.discover.state import Ray, State, scaled
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
@@ -71,9 +70,9 @@ def planned_simulations() -> int:
     return 6 + 2 * ROUND_SIMULATIONS + CHECK_SIMULATIONS
 
 
-def sharpening_simulations(n_free: int = 0) -> int:
-    """Of a fit that is judged again; `n_free` values' derivatives and their matching with it, where it is done anew."""
-    anew = SLOPE_SEEDS * n_free + nearing_simulations() if n_free else 0
+def sharpening_simulations(library: Library, n_free: int = 0) -> int:
+    """Of a fit that is sharpened; `n_free` values' derivatives and their matching with it, where it is done anew."""
+    anew = SLOPE_SEEDS * n_free + nearing_simulations(library.bench) if n_free else 0
     return CHECK_SIMULATIONS + SHARPENING_SIMULATIONS + anew
 
 
@@ -93,7 +92,7 @@ def fit_if_promising(
     One simulation of an effect that is chance itself (flicker) explains less than its law does: hence the lead's word.
     """
     starts = [starts] if isinstance(starts, Effect) else starts
-    seen = read_off(starts[0].kind, library.bench.measured)
+    seen = library.bench.read_off(starts[0].kind)
     starts = [changed(start, seen) for start in starts]
     climbed, gain = _climbed(library, state, _best_shape(library, state, starts, set(seen), x), x)
     if to_beat > 0 and max(gain, promised) < HOPELESS * to_beat:
@@ -102,7 +101,7 @@ def fit_if_promising(
     n = len(coordinates)
     local = replace(
         state,
-        model=state.model.with_effects(climbed),
+        model=library.beside(state, climbed),
         free=(*state.free, *(f"{climbed.kind}.{c.name}" for c in coordinates)),
     )
     width = WIDE
@@ -132,7 +131,7 @@ def _best_shape(library: Library, state: State, starts: Sequence[Effect], known:
                 trials.append(changed(trial, {name: value}))
     if len(trials) == 1:
         return start
-    rows = library.bench.rows([(state.model.with_effects(trial), k) for k, trial in enumerate(trials)])
+    rows = library.simulated([(library.beside(state, trial), k) for k, trial in enumerate(trials)])
     shift = rows - library.rows[: len(trials)]
     reached = state.mean - library.base.mean  # by the effects that are in the model already
     rays = [Ray(trial, change - reached) for trial, change in zip(trials, shift, strict=True)]
@@ -144,7 +143,7 @@ def _climbed(library: Library, state: State, start: Effect, x: Array) -> tuple[E
     grows while its end is best."""
 
     def misfits(factors: list[float]) -> dict[float, float]:
-        rows = library.bench.rows([(state.model.with_effects(scaled(start, f)), k) for k, f in enumerate(factors)])
+        rows = library.simulated([(library.beside(state, scaled(start, f)), k) for k, f in enumerate(factors)])
         shift = rows - library.rows[: len(factors)]
         return {f: replace(state, mean=library.base.mean + s).misfit(x) for f, s in zip(factors, shift, strict=True)}
 
@@ -166,7 +165,7 @@ def _linearised(
     offsets = _design(ROUND_SIMULATIONS, n, width, np.random.default_rng([library.bench.seed, turn]))
     settings = [{c.name: c.value_at(effect, b) for c, b in zip(coordinates, by, strict=True)} for by in offsets]
     jobs = [(local.model.with_effects(changed(effect, setting)), k) for k, setting in enumerate(settings)]
-    shift = library.bench.rows(jobs) - library.rows[:ROUND_SIMULATIONS]
+    shift = library.simulated(jobs) - library.rows[:ROUND_SIMULATIONS]
     centre, slopes = _regress(offsets, shift)
     wild = shift - centre - np.einsum("kd,pod->kpo", offsets, slopes)
     return replace(
@@ -182,7 +181,7 @@ def check(library: Library, local: State, x: Array, n_effect: int) -> Fit:
     """Fresh simulations of the fitted model: its mean, its spread, its score."""
     n = len(local.prior) - n_effect
     local = replace(local, prior=np.concatenate([local.prior[:n], np.full(n_effect, 0.3)]))
-    rows = library.bench.rows([(local.model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
+    rows = library.simulated([(local.model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
     return _checked_by(library, local, rows, x, n_effect)
 
 
@@ -224,14 +223,14 @@ def sharpen(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     offsets = np.zeros((CHECK_SIMULATIONS + SHARPENING_SIMULATIONS, len(local.free)))
     offsets[CHECK_SIMULATIONS:, others:] = _design(SHARPENING_SIMULATIONS, n, widths, rng)
     numbers = [CHECK_SEED + k for k in range(CHECK_SIMULATIONS)] + list(range(SHARPENING_SIMULATIONS))
-    made = library.bench.rows([(around(by), k) for by, k in zip(offsets, numbers, strict=True)])
+    made = library.simulated([(around(by), k) for by, k in zip(offsets, numbers, strict=True)])
     offsets = offsets[:, others:]
     _, slopes = _regress(offsets, made - _base_rows(library, len(made)))
     rows = made - np.einsum("kd,pod->kpo", offsets, slopes)  # as if all were made at the best
     fixed = local.slopes[:, :, :others]
     if anew and others:
         steps = free_steps(model, local.values, local.free)[:others]
-        fixed = derivatives(library.bench, lambda by: around(np.pad(by, (0, n))), steps, rows[CHECK_SIMULATIONS:])
+        fixed = derivatives(library.simulated, lambda by: around(np.pad(by, (0, n))), steps, rows[CHECK_SIMULATIONS:])
     prior = np.concatenate([local.prior[:others], LOOSE * widths])
     local = replace(local, slopes=np.concatenate([fixed, slopes], axis=2), prior=prior)
     return _checked_by(library, local, rows, x, n, (made, offsets))

@@ -82,6 +82,7 @@ class Report:
     evidence_needed : what the best effect must bring for an alarm (a chance of 2 % when nothing is missing)
     detectable : for each effect, the smallest strength this data would have shown with 80 % power (or None)
     notes : sentences about choices made (crop, subset, what stays off)
+    w1 : of a table of traces, W1 per frame between it and simulations: before, after, floor, unit; empty for movies
     """
 
     verdict: Verdict
@@ -99,6 +100,7 @@ class Report:
     evidence_needed: float | None = None
     detectable: dict[str, float | None] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    w1: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """report.json of SPEC.md §10, with the additions a reader wants."""
@@ -115,6 +117,7 @@ class Report:
             "evidence_needed": self.evidence_needed,
             "detectable": self.detectable,
             "notes": self.notes,
+            **({"w1": self.w1} if self.w1 else {}),
         }
 
     def to_json(self, path: str) -> None:

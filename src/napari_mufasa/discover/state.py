@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover.coordinates import changed, model_at, room
-from napari_mufasa.discover.metric import SOFT, Adjusted, at_the_end, adjust, stretch
+from napari_mufasa.discover.metric import SOFT, Adjusted, adjust, at_the_end, stretch
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
@@ -55,6 +55,9 @@ class State:
     nuisance values (`values`) first, then effect parameters · whiten (part, observable, observable) · check
     (simulation, part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error
     that the model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make
+
+    An observable that cannot be measured has an infinite (least) spread: whatever it is, it is no residual, and it is
+    left out of every score and error.
     """
 
     model: Model
@@ -68,6 +71,11 @@ class State:
     least_spread: Array
     values: tuple[Nuisance, ...] = ()
     floor: float = 1.0
+
+    @property
+    def measurable(self) -> NDArray[np.bool_]:
+        """(observable,) which of them take part in scores and errors."""
+        return np.isfinite(self.least_spread)
 
     def model_at(self, moves: Array) -> Model:
         """The model with its free values moved."""
@@ -88,7 +96,7 @@ class State:
         """rms whitened residual of each half of the field, free values fitted on the other half."""
         white, black = PARTS.index("white"), PARTS.index("black")
         squares = [self._held_out(x, fit, held) for fit, held in ((white, black), (black, white))]
-        return float(np.sqrt(np.mean(squares)))
+        return float(np.sqrt(np.mean([square[self.measurable] for square in squares])))
 
     def _held_out(self, x: Array, fit: int, held: int) -> Array:
         """Squares of the whitened residuals of one half, free values fitted on the other."""
@@ -111,7 +119,8 @@ class State:
 
     def score(self, x: Array) -> float:
         """−2 log likelihood, up to a constant all models share."""
-        return self.misfit(x) + 2 * float(np.log(self.spread[0]).sum() - np.linalg.slogdet(self.whiten[0])[1])
+        spread = self.spread[0][self.measurable]
+        return self.misfit(x) + 2 * float(np.log(spread).sum() - np.linalg.slogdet(self.whiten[0])[1])
 
     def screen(self, x: Array, rays: dict[str, list[Ray]]) -> dict[str, list[Lead]]:
         """Per effect: the largest fall of chi² along any ray of each of its forms, best form first."""

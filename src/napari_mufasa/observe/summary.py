@@ -62,8 +62,9 @@ def molecules(table: Table, spots: Spots, part: Part, shape_px: tuple[int, int])
     table.count("spots", float(chosen.sum()), "number of spots", "whole movie")
     keep = chosen & spots.isolated
     states = OnStates.of(spots.light[keep])
-    _levels(table, states, spots.positions_px[keep], shape_px)
-    _kinetics(table, states)
+    trace_levels(table, states)
+    _level_positions(table, states, spots.positions_px[keep], shape_px)
+    trace_kinetics(table, states)
     _shape_and_motion(table, spots, keep)
 
 
@@ -93,7 +94,8 @@ def _quantile(values: Array, q: float, default: float = 0.0) -> float:
     return float(np.partition(values, rank)[rank])
 
 
-def _levels(table: Table, states: OnStates, positions: Array, shape_px: tuple[int, int]) -> None:
+def trace_levels(table: Table, states: OnStates) -> None:
+    """How bright molecules are while on, and how unlike each other."""
     logs = np.log(states.level)
     where = "level of each spot while on"
     middle = _trimmed_mean(logs)
@@ -101,6 +103,12 @@ def _levels(table: Table, states: OnStates, positions: Array, shape_px: tuple[in
     table.add("level_spread", _quantile(logs, 0.84) - _quantile(logs, 0.16), "spread of brightness", "ln", where)
     table.add("level_quantile_low", middle - _quantile(logs, 0.1), "dim spots against the middle", "ln", where)
     table.add("level_quantile_high", _quantile(logs, 0.95) - middle, "bright spots against the middle", "ln", where)
+
+
+def _level_positions(table: Table, states: OnStates, positions: Array, shape_px: tuple[int, int]) -> None:
+    """How bright molecules are where."""
+    logs = np.log(states.level)
+    middle = _trimmed_mean(logs)
     half = max(shape_px) / 2
     v = (positions[:, 0] - (shape_px[0] - 1) / 2) / half
     u = (positions[:, 1] - (shape_px[1] - 1) / 2) / half
@@ -120,7 +128,8 @@ def _slopes(values: Array, v: Array, u: Array) -> tuple[float, float, float]:
     return float(r2), float(y), float(x)
 
 
-def _kinetics(table: Table, states: OnStates) -> None:
+def trace_kinetics(table: Table, states: OnStates) -> None:
+    """What traces do in time: counts while on, memory, first and last light, gaps, trend and steps of the level."""
     light, on, level = states.light, states.on, states.level[:, None]
     n, frames = light.shape
     relative = light / level
@@ -175,7 +184,7 @@ def _kinetics(table: Table, states: OnStates) -> None:
         )
     gaps = _gap_lengths(on & span)
     for low, high, name in ((1, 5, "short"), (6, 19, "middle"), (20, 10**9, "long")):
-        found = sum(int(low <= g <= high) for g in gaps)
+        found = int(((gaps >= low) & (gaps <= high)).sum())
         table.add(f"gap_{name}", np.sqrt((found + 0.1) / max(n, 1)), f"{name} gaps per molecule", "√", "gaps in traces")
 
     thirds = np.array_split(t, 3)
@@ -244,19 +253,13 @@ def _on_mean(light: Array, on: NDArray[np.bool_], frames: NDArray[np.int64]) -> 
     return np.where(count >= max(5, len(frames) // 10), total / np.maximum(count, 1), np.nan)
 
 
-def _gap_lengths(on: NDArray[np.bool_]) -> list[int]:
-    """Lengths of dark stretches between two bright ones."""
-    gaps: list[int] = []
-    for row in on:
-        edges = np.flatnonzero(np.diff(row.astype(np.int8)))
-        if len(edges) < 2:
-            continue
-        falls = edges[~row[edges + 1]]
-        rises = edges[row[edges + 1]]
-        for fall in falls:
-            later = rises[rises > fall]
-            if len(later):
-                gaps.append(int(later[0] - fall))
+def _gap_lengths(on: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Lengths (gap,) of dark stretches between two bright ones."""
+    change = np.diff(on.astype(np.int8), axis=1)
+    row, at = np.nonzero(change)
+    falls = change[row, at] < 0
+    ended = np.flatnonzero(falls[:-1] & (row[1:] == row[:-1]))  # falls and rises take turns
+    gaps: NDArray[np.int64] = at[ended + 1] - at[ended]
     return gaps
 
 

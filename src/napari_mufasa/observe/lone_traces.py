@@ -1,0 +1,108 @@
+"""What a table of traces shows without an image: named numbers, the same for measured and simulated tables.
+
+Beside the numbers that the spots of a movie have (`summary`), quantiles of the signal at several time scales: of means
+over 1, 4, 16 … frames and of differences between successive means. They are what W1 at these scales is made of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from napari_mufasa.observe import PARTS
+from napari_mufasa.observe.summary import OnStates, trace_kinetics, trace_levels
+from napari_mufasa.observe.table import Meaning, Table
+
+Array = NDArray[np.float64]
+RUN = 8  # neighbouring molecules that stay together when the table is split: they often share light
+MEANS, STEPS = (0.05, 0.25, 0.5, 0.75, 0.95), (0.05, 0.25, 0.75, 0.95)  # quantiles
+SCALE = 4  # from one time scale to the next
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """How a table is looked at, the measured and every simulated one alike: what is taken off each value, and what
+    counts as one. Both in photoelectrons per frame."""
+
+    background_e: float
+    level_e: float
+
+    @classmethod
+    def of(cls, traces: Array, background_subtracted: bool) -> Eyes:
+        """For traces (molecule, frame): what is nearly always there is no molecule's."""
+        steady = ndimage.uniform_filter1d(traces, 5, axis=1, mode="nearest")
+        background = 0.0 if background_subtracted else float(np.quantile(steady, 0.02))
+        return cls(background, max(float(np.quantile(steady, 0.9)) - background, 1e-6))
+
+
+@dataclass(frozen=True)
+class TraceNumbers:
+    """Observables of a table: (part, observable) values in a fixed order; traces (molecule, frame), photoelectrons, and
+    the same seen through the eyes (`light`)."""
+
+    values: Array
+    names: tuple[str, ...]
+    meanings: dict[str, Meaning]
+    traces: Array
+    light: Array
+
+
+def observe_traces(traces: Array, eyes: Eyes) -> TraceNumbers:
+    """Observables of traces (molecule, frame), photoelectrons: of all, and of two halves made of runs of neighbours."""
+    light = traces - eyes.background_e
+    side = np.arange(len(traces)) // RUN % 2
+    tables = []
+    for part in PARTS:
+        chosen = light if part == "all" else light[side == ("white", "black").index(part)]
+        table = Table()
+        states = OnStates.of(chosen)
+        trace_levels(table, states)
+        trace_kinetics(table, states)
+        _signal(table, chosen / eyes.level_e)
+        _together(table, chosen.mean(axis=0) / eyes.level_e)
+        tables.append(table)
+    values = np.array([list(table.values.values()) for table in tables])
+    return TraceNumbers(values, tuple(tables[0].values), tables[0].meanings, traces, light)
+
+
+def views(traces: Array, factor: int = 2) -> Iterator[tuple[int, Array, Array]]:
+    """Time scale (frames), means over it (molecule, mean), differences of successive means; by `factor` up to half of
+    the table, then its whole length, which has no differences."""
+    values, scale = np.asarray(traces, dtype=np.float64), 1
+    whole = values.shape[1]
+    while values.shape[1] >= 2:
+        yield scale, values, np.diff(values, axis=1)
+        use = values.shape[1] // factor * factor
+        values, scale = values[:, :use].reshape(len(values), -1, factor).mean(axis=2), factor * scale
+    yield whole, np.asarray(traces, dtype=np.float64).mean(axis=1, keepdims=True), np.zeros((len(values), 0))
+
+
+def _signal(table: Table, signal: Array) -> None:
+    for scale, means, steps in views(signal, SCALE):
+        for which, values, shares in (("mean", means, MEANS), ("step", steps, STEPS)):
+            if not values.shape[1]:
+                continue
+            words = "means over" if which == "mean" else "differences of successive means over"
+            ordered = np.sort(values, axis=None)
+            for share, value in zip(shares, ordered[[int(share * ordered.size) for share in shares]], strict=True):
+                table.add(
+                    f"signal_{which}_{scale}_{round(100 * share):02d}", float(value),
+                    f"{share:.0%} quantile of {words} {scale} frames", "level", f"time scale of {scale} frames",
+                )  # fmt: skip
+
+
+def _together(table: Table, course: Array) -> None:
+    """What all molecules do together from frame to frame: the light's doing."""
+    fast = course - ndimage.uniform_filter1d(course, 31, mode="nearest")
+    power = float((fast**2).sum())
+    lag = float((fast[1:] * fast[:-1]).sum()) / power if power > 0 else 0.0
+    spectrum = np.abs(np.fft.rfft(fast * np.hanning(len(fast))))[1:] ** 2
+    line = float(spectrum.max() / max(float(np.median(spectrum)), 1e-12))
+    where = "all molecules, frame to frame"
+    table.log("common_mode_variance", float(fast.var()), "flicker of all molecules²", where)
+    table.add("common_mode_lag", lag, "its correlation with the last frame", "", where)
+    table.log("common_mode_line", line, "strongest line / median of its spectrum", where)
