@@ -46,13 +46,13 @@ class Bench(ABC, Generic[Seen]):
 
     start : the model believed, in the measurement's form · measured : what the measurement shows
     x (part, observable) : its numbers, 0 where it shows none · notes : choices made, for the reader
-    matching_simulations : how many simulations `matched` makes · matches_beside_effects : whether that is so cheap that
-    every effect tried has the values of the model matched beside it
+    matching_simulations : how many simulations `matched` makes · is_cheap : whether simulations and matching take so
+    little time that every effect tried has the values of the model matched beside it
     gaps : observables that some simulation beside the base model did not show (see `Library.simulated`)
     """
 
     matching_simulations: int
-    matches_beside_effects = False
+    is_cheap = False
 
     def __init__(
         self,

@@ -59,7 +59,7 @@ class Library:
         """The model of a state with an effect; where that is cheap, its values matched again beside it, in reach of
         where they started."""
         model = state.model.with_effects(effect)
-        return nuisance.kept(self.bench.matched(model), state.values) if self.bench.matches_beside_effects else model
+        return nuisance.kept(self.bench.matched(model), state.values) if self.bench.is_cheap else model
 
     def _twin(self, number: int) -> Array:
         twin: Array = self.base.check[number - CHECK_SEED] if number >= CHECK_SEED else self.rows[number]

@@ -7,6 +7,7 @@ has. What needs a place is neither fitted nor asked for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -31,6 +32,8 @@ from napari_mufasa.traces import Options
 Array = NDArray[np.float64]
 LEAST_MOLECULES, LEAST_FRAMES = 4 * RUN, 8
 VALUES = 200_000  # a diagnosis looks at no more molecules times frames than this
+LIGHT = ("optics.brightness_correction", "optics.background_photons_per_px")
+LIGHT_PRIOR = 0.35  # of the value matched: in reach are an eighth of it and nearly twice as much
 FIELDS = 8  # draws of the places within the pixels: simulations of one number share theirs
 MATCHING_SEED = 10_000
 SHARES = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)  # of the mean signal that may be a molecule's …
@@ -56,7 +59,7 @@ class TraceBench(Bench[TraceNumbers]):
     """Simulates and observes tables of traces (molecule, frame); parameters as in `diagnose_traces`."""
 
     matching_simulations = 0  # none is observed
-    matches_beside_effects = True
+    is_cheap = True
 
     def __init__(
         self,
@@ -108,7 +111,7 @@ class TraceBench(Bench[TraceNumbers]):
         return traces
 
     def free_values(self, model: Model) -> list[Nuisance]:
-        return [value for value in nuisances(model) if value.path not in NOT_SHOWN]
+        return [_in_proportion(value) for value in nuisances(model) if value.path not in NOT_SHOWN]
 
     def matched(self, model: Model) -> Model:
         """Brightness by the level of molecules; where the background is in the traces, how much of the signal is a
@@ -179,6 +182,14 @@ def _with_light(model: Model, brightness: float, background_photons: float | Non
     if background_photons is not None:
         values["optics.background_photons_per_px"] = max(background_photons, 0.0)
     return model.with_values(values)
+
+
+def _in_proportion(value: Nuisance) -> Nuisance:
+    """Light as a coordinate that signals are proportional to: tables are so precise that a logarithm would not be
+    linear far enough."""
+    if value.path not in LIGHT or value.origin <= 0:
+        return value
+    return replace(value, log=False, step=0.08 * value.origin, prior=LIGHT_PRIOR * value.origin)
 
 
 def _level(traces: Array) -> float:

@@ -1,12 +1,12 @@
 """What a table of traces shows without an image: named numbers, the same for measured and simulated tables.
 
-Beside the numbers that the spots of a movie have (`summary`), quantiles of the signal at several time scales: of means
-over 1, 4, 16 … frames and of differences between successive means. They are what W1 at these scales is made of.
+Beside the numbers that the spots of a movie have (`summary`), quantiles of the signal in single frames and in whole
+traces, and of differences between successive means over 1, 2, 4 … frames: what W1 at these time scales is made of.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,7 @@ from napari_mufasa.observe.table import Meaning, Table
 
 Array = NDArray[np.float64]
 RUN = 8  # neighbouring molecules that stay together when the table is split: they often share light
-MEANS, STEPS = (0.05, 0.25, 0.5, 0.75, 0.95), (0.05, 0.25, 0.75, 0.95)  # quantiles
-SCALE = 4  # from one time scale to the next
+MEANS, STEPS = (0.05, 0.25, 0.5, 0.75, 0.95), (0.05, 0.5, 0.95)  # quantiles
 
 
 @dataclass(frozen=True)
@@ -69,30 +68,34 @@ def observe_traces(traces: Array, eyes: Eyes) -> TraceNumbers:
     return TraceNumbers(values, tuple(tables[0].values), tables[0].meanings, traces, light)
 
 
-def views(traces: Array, factor: int = 2) -> Iterator[tuple[int, Array, Array]]:
-    """Time scale (frames), means over it (molecule, mean), differences of successive means; by `factor` up to half of
-    the table, then its whole length, which has no differences."""
+def views(traces: Array) -> Iterator[tuple[int, Array, Array]]:
+    """Time scale (1, 2, 4 … frames), means over it (molecule, mean), differences of successive means; last the whole
+    table, which has no differences."""
     values, scale = np.asarray(traces, dtype=np.float64), 1
-    whole = values.shape[1]
     while values.shape[1] >= 2:
         yield scale, values, np.diff(values, axis=1)
-        use = values.shape[1] // factor * factor
-        values, scale = values[:, :use].reshape(len(values), -1, factor).mean(axis=2), factor * scale
-    yield whole, np.asarray(traces, dtype=np.float64).mean(axis=1, keepdims=True), np.zeros((len(values), 0))
+        even = values.shape[1] // 2 * 2
+        values, scale = values[:, :even].reshape(len(values), -1, 2).mean(axis=2), 2 * scale
+    yield np.shape(traces)[1], np.mean(traces, axis=1, keepdims=True), np.zeros((len(values), 0))
 
 
 def _signal(table: Table, signal: Array) -> None:
-    for scale, means, steps in views(signal, SCALE):
-        for which, values, shares in (("mean", means, MEANS), ("step", steps, STEPS)):
-            if not values.shape[1]:
-                continue
-            words = "means over" if which == "mean" else "differences of successive means over"
-            ordered = np.sort(values, axis=None)
-            for share, value in zip(shares, ordered[[int(share * ordered.size) for share in shares]], strict=True):
-                table.add(
-                    f"signal_{which}_{scale}_{round(100 * share):02d}", float(value),
-                    f"{share:.0%} quantile of {words} {scale} frames", "level", f"time scale of {scale} frames",
-                )  # fmt: skip
+    """Quantiles of single frames and of whole traces, and of the change from one stretch to the next at every scale:
+    quantiles of means in between would tell the same spread of molecules again and again."""
+    for scale, means, steps in views(signal):
+        if scale in (1, signal.shape[1]):
+            _quantiles(table, f"signal_mean_{scale}", means, MEANS, "means over", scale)
+        if steps.shape[1]:
+            _quantiles(table, f"signal_step_{scale}", steps, STEPS, "differences of successive means over", scale)
+
+
+def _quantiles(table: Table, name: str, values: Array, shares: Sequence[float], words: str, scale: int) -> None:
+    ordered = np.sort(values, axis=None)
+    for share in shares:
+        table.add(
+            f"{name}_{round(100 * share):02d}", float(ordered[int(share * ordered.size)]),
+            f"{share:.0%} quantile of {words} {scale} frames", "level", f"time scale of {scale} frames",
+        )  # fmt: skip
 
 
 def _together(table: Table, course: Array) -> None:
