@@ -17,6 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.discover.metric import spread_floor
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import Cancelled
@@ -105,6 +106,10 @@ class Bench(ABC, Generic[Seen]):
     @property
     def names(self) -> tuple[str, ...]:
         return self.measured.names
+
+    def least_spread(self) -> Array:
+        """(observable,) the least standard deviation that each is credited with."""
+        return spread_floor(self.names)
 
     def plan(self, more: int) -> None:
         """Announce simulations to come, for the progress bar."""

@@ -18,7 +18,7 @@ from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.coordinates import Coordinate, changed, model_at
 from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
-from napari_mufasa.discover.metric import shrunk_correlation, spread_floor, whitener
+from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.state import Ray, State, two_sided
 from napari_mufasa.effects import Effect, catalogue
@@ -124,7 +124,7 @@ def build(
     # What the measurement or the model believed does not show in every part is known of neither.
     known = np.isfinite(np.concatenate([bench.measured.values[None], rows, check])).all(axis=(0, 1))
     rows, check = np.where(known, rows, 0.0), np.where(known, check, 0.0)
-    least = np.where(known, spread_floor(bench.names), np.inf)
+    least = np.where(known, bench.least_spread(), np.inf)
     blank = np.zeros(rows.shape[1:])
     bare = State(model, blank, blank, blank[..., None], prior, blank, check, tuple(free), least, tuple(values))
     simulated = Library(bench, bare, rows, {}).simulated
