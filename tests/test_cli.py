@@ -253,18 +253,18 @@ def test_what_a_trace_holds_and_which_are_kept_are_options(cli, movie_file, mode
 
 def test_diagnose_takes_a_table_of_traces(cli, model_file, tmp_path, monkeypatch):
     from napari_mufasa.compare.simulated import FarApart
-    from napari_mufasa.discover import traces_alone
+    from napari_mufasa.discover import investigation
     from napari_mufasa.files.traces import write_trace_file
     from napari_mufasa.traces import Options
 
-    monkeypatch.setattr(traces_alone, "candidate_kinds", lambda model: ["photobleaching"])
+    monkeypatch.setattr(investigation, "candidate_kinds", lambda model: ["photobleaching"])
     model = Model.from_json(model_file)
     hidden = model.with_values({"effects": [{"kind": "photobleaching", "rate_per_s": 0.5}]})
     field = FarApart(model.sigma_px, 80, Options(psf_sigma_px=model.sigma_px), 1, quick=True)
     write_trace_file(tmp_path / "t.csv", field.traces(field.acquisition(hidden, 1)))
     code, out, _ = cli("diagnose", tmp_path / "t.csv", "--traces", "--model", model_file, "--out", tmp_path / "d")
-    assert code == 0 and "verdict: missing_effect (photobleaching)" in out
-    assert leftovers(tmp_path / "d") == ["distributions.png", "model.json", "report.json", "traces.png"]
+    assert code == 0 and "Missing from the model: photobleaching." in out and "W1 (photoelectrons per frame)" in out
+    assert {"report.html", "model.json", "report.json", "traces.png", "curves.png"} <= set(leftovers(tmp_path / "d"))
     report = json.loads((tmp_path / "d/report.json").read_text())
     assert Model.from_json(tmp_path / "d/model.json") == Model.from_dict(report["model"])
     # Of 40 traces over 1.2 mean lives, fitted and told apart by two laws: six other movies scatter by e^0.41.

@@ -9,12 +9,14 @@ import json
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import napari_mufasa as nm
 from napari_mufasa.discover import Investigation, refine
 
 from . import generator
 
+NULLS = 10
 SUSPECTS = ["triplet_blinking", "photobleaching", "stage_drift", "laser_drift", "row_noise", "background_decay"]
 
 
@@ -65,16 +67,27 @@ def test_the_curves_are_complete(drift):
         assert len({a.shape for a in arrays}) == 1 and all(np.isfinite(a).all() for a in arrays), curve.name
 
 
-def test_nothing_is_claimed_where_nothing_is_hidden():
-    """Two movies, as a false alarm of 5 % is allowed on each: both alarmed by chance 0.25 % of the time."""
-    reports = []
-    for seed in (21, 22):
-        movie, model, dark = hidden([], seed)
-        reports.append(nm.diagnose(movie, model, dark, seed=1, effects=SUSPECTS))
-    quiet = [r for r in reports if r.verdict == "adequate"]
-    assert quiet and quiet[-1].chosen == []
-    assert quiet[-1].error["after"] == quiet[-1].error["before"] <= 1.25 * quiet[-1].error["floor"]
-    assert set(quiet[-1].detectable) == set(SUSPECTS)
+@pytest.fixture(scope="module")
+def nothing_hidden():
+    """Reports of movies in which nothing is hidden."""
+    cases = [hidden([], seed) for seed in range(21, 21 + NULLS)]
+    return [nm.diagnose(movie, model, dark, seed=1, effects=SUSPECTS) for movie, model, dark in cases]
+
+
+@pytest.mark.slow
+def test_no_more_is_claimed_of_nothing_than_chance_allows(nothing_hidden):
+    """A false alarm is allowed in 5 % of movies. Three and more of ten then have a chance of 1.2 %; of a diagnosis that
+    is wrong in every other movie 95 % of such tests fail, in three of ten 62 %."""
+    alarms = [report for report in nothing_hidden if report.verdict != "adequate"]
+    assert len(alarms) <= stats.binom.isf(0.02, NULLS, 0.05) == 2
+
+
+@pytest.mark.slow
+def test_a_model_that_lacks_nothing_is_left_as_it_is(nothing_hidden):
+    for quiet in (report for report in nothing_hidden if report.verdict == "adequate"):
+        assert quiet.chosen == [] and set(quiet.detectable) == set(SUSPECTS)
+        # The scatter of a held-out error of 110 observables in two halves is about 1/√(4·110) = 5 % of its floor.
+        assert quiet.error["after"] == quiet.error["before"] <= 1.25 * quiet.error["floor"]
 
 
 def test_by_hand_add_undo_and_refine_agree():

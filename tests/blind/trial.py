@@ -1,20 +1,22 @@
 """The blind trial: hidden effects from the independent generator, diagnosed from movie, dark frames and model.
 
-    python -m tests.blind.trial --quick             a few minutes: short movies, one seed
-    python -m tests.blind.trial --seeds 5           the full trial; one line of JSON for each case as it ends
-    python -m tests.blind.trial --summary           the table of the cases already run
+    python -m tests.blind.trial                       the whole trial (hours); writes docs/blind_trial.md when it ends
+    python -m tests.blind.trial --quick               a few minutes: short movies, one seed; writes no page
+    python -m tests.blind.trial --table ROWS.jsonl    docs/blind_trial.md from the rows of a trial, nothing is run
 
-The truth stays with this script; `diagnose` gets the movie, the dark frames and the believed model only.
-Results are appended to `trial.jsonl`, so that a stopped trial goes on where it was; `--write` stores the
-confusion table in docs/blind_trial.md.
+The truth stays with this script; `diagnose` gets the movie, the dark frames and the believed model only. Every case
+appends a row to `--results` as it ends, so that a stopped trial goes on where it was.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shlex
+import subprocess
+import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,8 @@ import napari_mufasa as nm
 from . import generator
 
 ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "blind_trial.md"
+GROUPS = "single,null,pair,off"
 STRENGTHS = (0.4, 0.6, 0.8)  # "visible": 0.5 is clearly visible by the generator's own scale
 PAIRS = (
     ("photobleaching", "stage_drift"), ("triplet_blinking", "background_decay"), ("laser_drift", "row_noise"),
@@ -98,7 +102,16 @@ def run(case: dict[str, Any], base: str | None) -> dict[str, Any]:
         "seconds": report.seconds,
         "z": [f["observable"] for f in report.failing[:5]],
         "pulls": pulls(hidden.truth["effects"], report),
+        "state": state_of_the_code(),
     }
+
+
+def state_of_the_code() -> str:
+    """The commit that ran, "+" behind it where files differ from it."""
+    told = subprocess.run(
+        ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+"], capture_output=True, text=True, check=False
+    )
+    return told.stdout.strip() or f"version {nm.__version__}"
 
 
 def pulls(truths: list[dict[str, Any]], report: Any) -> dict[str, float]:
@@ -172,39 +185,62 @@ def _counted(counter: Counter[str]) -> str:
     return ", ".join(f"{name} {n}" if n > 1 else name for name, n in counter.most_common())
 
 
-def main() -> None:
+def page(rows: list[dict[str, Any]], command: str) -> str:
+    """docs/blind_trial.md: which command wrote it, from which state of the code, and the tables."""
+    states = ", ".join(sorted({row.get("state", "one that its rows do not tell") for row in rows}))
+    head = f"`{command}` wrote this page from {len(rows)} cases; a case is one movie. State of the code: {states}."
+    return f"# Blind trial\n\n{head}\n\n{summary(rows)}"
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def _name(case: dict[str, Any]) -> tuple[Any, ...]:
+    return case["group"], case["seed"], case.get("off")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    arguments = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=0, help="other seeds, other movies")
     parser.add_argument("--nulls", type=int, default=40)
     parser.add_argument("--base", help="one base model for all cases, e.g. emccd_short")
-    parser.add_argument("--groups", default="single,null,pair,off")
-    parser.add_argument("--quick", action="store_true", help="short movies, one seed, five nulls, no pairs")
-    parser.add_argument("--results", type=Path, default=ROOT / "build" / "trial.jsonl")
+    parser.add_argument("--groups", default=GROUPS)
+    parser.add_argument("--quick", action="store_true", help="short movies, one seed, five nulls, no pairs, no page")
+    parser.add_argument("--results", type=Path, help="rows of the cases (default: build/trial.jsonl or …/quick.jsonl)")
     parser.add_argument("--share", default="0/1", help="1/2: the second half of the cases, for two processes at once")
-    parser.add_argument("--summary", action="store_true")
-    parser.add_argument("--write", action="store_true", help="store the table in docs/blind_trial.md")
-    options = parser.parse_args()
+    parser.add_argument("--table", type=Path, metavar="ROWS.jsonl", help="write the page from these rows, run nothing")
+    options = parser.parse_args(arguments)
+    command = shlex.join(["python", "-m", "tests.blind.trial", *arguments])
+    if options.table is not None:
+        if not (rows := read_rows(options.table)):
+            parser.error(f"{options.table} has no rows: give the file that a trial wrote (--results)")
+        PAGE.write_text(page(rows, command))
+        return
     if options.quick:
         options.seeds, options.nulls, options.base, options.groups = 1, 5, "emccd_short", "single,null"
-    options.results.parent.mkdir(parents=True, exist_ok=True)
-    done = [json.loads(line) for line in options.results.open()] if options.results.exists() else []
-    finished = {(r["group"], r["seed"], r.get("off")) for r in done}
-    if not options.summary:
-        mine, shares = (int(n) for n in options.share.split("/"))
-        seeds = range(options.first_seed, options.first_seed + options.seeds)
-        for i, case in enumerate(cases(seeds, options.nulls, set(options.groups.split(",")))):
-            if i % shares != mine or (case["group"], case["seed"], case.get("off")) in finished:
-                continue
-            done.append(run(case, options.base))
-            with options.results.open("a") as file:
-                file.write(json.dumps(done[-1]) + "\n")
-            print(json.dumps(done[-1]), flush=True)
-    text = summary(done)
-    print(text)
-    if options.write:
-        head = f"# Blind trial\n\n`make blind` wrote this from the {len(done)} cases that ran; a case is one movie.\n\n"
-        (ROOT / "docs" / "blind_trial.md").write_text(head + text)
+    results = options.results or ROOT / "build" / ("quick.jsonl" if options.quick else "trial.jsonl")
+    results.parent.mkdir(parents=True, exist_ok=True)
+    mine, shares = (int(n) for n in options.share.split("/"))
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    planned = list(cases(seeds, options.nulls, set(options.groups.split(","))))
+    finished = {_name(row) for row in read_rows(results)}
+    for i, case in enumerate(planned):
+        if i % shares != mine or _name(case) in finished:
+            continue
+        row = json.dumps(run(case, options.base))
+        with results.open("a") as file:
+            file.write(row + "\n")
+        print(row, flush=True)
+    wanted = {_name(case) for case in planned}
+    rows = [row for row in read_rows(results) if _name(row) in wanted]
+    print(summary(rows))
+    # Of two processes that share the cases, the one that ends last has them all.
+    whole = not options.quick and options.base is None and set(options.groups.split(",")) == set(GROUPS.split(","))
+    if whole and len(rows) == len(planned):
+        PAGE.write_text(page(rows, command))
 
 
 if __name__ == "__main__":

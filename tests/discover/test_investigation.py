@@ -8,7 +8,7 @@ import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.discover import automatic, contest, reporting
-from napari_mufasa.discover.coordinates import Coordinate, moved
+from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.fit import Fit
 from napari_mufasa.discover.investigation import SECOND, SECOND_SHARE, Investigation
 from napari_mufasa.discover.nuisance import nuisances
@@ -119,7 +119,7 @@ def test_an_effect_that_is_none_or_does_not_help_once_it_is_settled_is_taken_out
 def test_an_effect_refuted_once_it_is_settled_is_no_reason_to_call_it_missing(inquiry, monkeypatch, p_misfit, verdict):
     inquiry.rank()
     best = inquiry.ranking[0]
-    assert inquiry.convincing(best) and reporting.judge(inquiry, [], 1.0) == "missing_effect"
+    assert inquiry.convincing(best) and reporting.verdict_of(inquiry, [], 1.0) == "missing_effect"
     none_of_it = {effect_class(best.effect).strength: np.inf}
     monkeypatch.setattr(contest.Contest, "settled", lambda self, found: replace(found, sd=none_of_it))
     monkeypatch.setattr(type(inquiry.null.misfit), "p", lambda tail, value: p_misfit)
@@ -128,7 +128,7 @@ def test_an_effect_refuted_once_it_is_settled_is_no_reason_to_call_it_missing(in
     again = next(candidate for candidate in inquiry.ranking if candidate.effect == best.effect)
     assert not inquiry.convincing(again)
     inquiry.ranking = [again]
-    assert reporting.judge(inquiry, [], 1.0) == verdict
+    assert reporting.verdict_of(inquiry, [], 1.0) == verdict
 
 
 def test_a_form_simulated_too_weakly_has_its_turn(monkeypatch):
@@ -141,7 +141,7 @@ def test_a_form_simulated_too_weakly_has_its_turn(monkeypatch):
     monkeypatch.setattr(contest.Contest, "_content", lambda self, found: False)
     monkeypatch.setattr(contest.Contest, "evidence", lambda self, found: 1000.0)
     monkeypatch.setattr(contest.Contest, "_closest", lambda self, fits: fits[0])
-    monkeypatch.setattr(contest.fit, "refine_if_promising", lambda lib, st, start, x, least: tried.append(start))
+    monkeypatch.setattr(contest.fit, "fit_if_promising", lambda lib, st, start, x, least: tried.append(start))
     ring = contest.Contest(library, state, None, lambda: None)
     ring._best_form(SimpleNamespace(effect=forms["pixels"]))
     assert [start.form_name for start in tried] == ["dull_pixels"]  # a tenth of the best, but its ray ended there
@@ -159,10 +159,10 @@ def test_a_form_simulated_too_weakly_has_its_turn(monkeypatch):
 )
 def test_what_is_left_beyond_chance_is_unexplained_as_a_whole_or_in_one_observable(p_left, after, farthest, verdict):
     seen = SimpleNamespace(soft=np.append(np.zeros(110), farthest))
-    state = SimpleNamespace(profiled=lambda x: seen, misfit=lambda x: 100.0)
+    state = SimpleNamespace(adjusted=lambda x: seen, misfit=lambda x: 100.0)
     null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_left))
     inquiry = SimpleNamespace(chosen=["stage_drift"], state=state, null=null, x=None)
-    assert reporting.judge(inquiry, [5.0, after], 1.0) == verdict
+    assert reporting.verdict_of(inquiry, [5.0, after], 1.0) == verdict
 
 
 def test_an_effect_of_the_model_believed_is_not_added_again(inquiry):
@@ -183,13 +183,15 @@ def test_no_move_changes_nothing_even_beyond_the_plausible_range():
     model = nm.preset("FF").model_copy(update={"effects": tuple(odd)})
     values = nuisances(model)
     free = [n.path for n in values] + [f"{e.kind}.{c.name}" for e in odd for c in Coordinate.of(e, model)]
-    assert moved(model, values, free, np.zeros(len(free))).effects == model.effects
+    assert model_at(model, values, free, np.zeros(len(free))).effects == model.effects
 
 
 def test_a_step_at_the_end_of_a_range_goes_inward():
     bleaching, model = effect_class("photobleaching")(fast_fraction=0.6, form="two_populations"), nm.preset("FF")
     share = next(c for c in Coordinate.of(bleaching, model) if c.name == "fast_fraction")
-    assert share.inward(bleaching, 0.2) == -0.2 and share.moved(bleaching, -0.2) < 0.6 == share.moved(bleaching, 0.2)
+    assert share.inward(bleaching, 0.2) == -0.2 and share.value_at(bleaching, -0.2) < 0.6 == share.value_at(
+        bleaching, 0.2
+    )
 
 
 def test_an_effect_that_is_off_has_no_free_strength():
@@ -212,7 +214,7 @@ def choice(monkeypatch):
         judged.extend(found.effect.form for found in close)
         return [replace(found, score=after.get(found.effect.form, found.score)) for found in close]
 
-    monkeypatch.setattr(contest, "judged_again", judge_again)
+    monkeypatch.setattr(contest, "sharpened", judge_again)
     nothing_known = SimpleNamespace(score=lambda x: 0.0)
     return contest.Contest(None, nothing_known, np.zeros((3, 100)), None), after, judged
 
@@ -253,7 +255,7 @@ def test_a_fit_that_explains_much_and_ends_at_no_strength_gives_the_other_forms_
         effect = drift(form=starts[0].form, change=0.01 if astray else 0.3)
         return Fit(None, effect, {"change": 0.1}, -evidence if astray else -900.0, 0.0)
 
-    monkeypatch.setattr(contest.fit, "refine_if_promising", refine)
+    monkeypatch.setattr(contest.fit, "fit_if_promising", refine)
     monkeypatch.setattr(Fit, "is_some", property(lambda found: abs(found.effect.change) > 0.1))
     state = SimpleNamespace(score=lambda x: 0.0)
     null = SimpleNamespace(evidence=SimpleNamespace(at=lambda p: 30.0))

@@ -6,7 +6,7 @@ from scipy import optimize
 
 import napari_mufasa as nm
 from napari_mufasa.discover import metric, nuisance
-from napari_mufasa.discover.coordinates import changed, moved, room
+from napari_mufasa.discover.coordinates import changed, model_at, room
 from napari_mufasa.discover.derivatives import free_steps
 from napari_mufasa.discover.library import ray_settings
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
@@ -50,7 +50,7 @@ def test_profile_recovers_known_moves():
     jacobian = rng.standard_normal((30, 3)) * 5
     moves = np.array([0.3, -0.2, 0.5])
     x = jacobian @ moves + rng.standard_normal(30)
-    found = metric.profile(x, np.zeros(30), np.ones(30), jacobian, np.full(3, 10.0), FREE, np.eye(30))
+    found = metric.adjust(x, np.zeros(30), np.ones(30), jacobian, np.full(3, 10.0), FREE, np.eye(30))
     error = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
     assert np.all(np.abs(found.moves - moves) < 4.5 * error)
     assert found.chi2 < 60  # chi² of 27 degrees of freedom: 60 is beyond 2e-4
@@ -62,7 +62,7 @@ def test_a_value_at_the_end_of_its_room_stays_there_and_the_others_make_the_best
     jacobian = rng.standard_normal((30, 3))
     x = jacobian @ np.array([3.0, -2.0, 0.5])
     room = np.array([[-1.0, -1.0, -4.0], [1.0, 1.0, 4.0]])
-    found = metric.profile(x, np.zeros(30), np.ones(30), jacobian, np.full(3, 10.0), room, np.eye(30))
+    found = metric.adjust(x, np.zeros(30), np.ones(30), jacobian, np.full(3, 10.0), room, np.eye(30))
 
     def residual(moves):
         return np.concatenate([metric.soften(x - jacobian @ moves), moves / 10.0])
@@ -83,10 +83,10 @@ def test_no_free_value_moves_farther_than_the_model_can_follow():
     reach = [0.0 if n.most == 1.0 else nuisance.REACH * n.prior for n in values]  # one is at its largest already
     np.testing.assert_allclose(ends[1, : len(values)], reach)
     for end in ends:
-        there = moved(model, values, free, end).effects[0]
-        beyond = moved(model, values, free, 2 * end).effects[0]
+        there = model_at(model, values, free, end).effects[0]
+        beyond = model_at(model, values, free, 2 * end).effects[0]
         assert there.kept == pytest.approx(beyond.kept) and there.fraction == pytest.approx(beyond.fraction)
-        nearer = moved(model, values, free, 0.9 * end).effects[0]
+        nearer = model_at(model, values, free, 0.9 * end).effects[0]
         assert abs(nearer.kept - 0.5) < abs(there.kept - 0.5)
         assert abs(nearer.fraction - 0.02) < abs(there.fraction - 0.02)
 
@@ -98,8 +98,8 @@ def test_nuisance_values_keep_their_distance_from_where_they_started_however_oft
     values = nuisance.nuisances(model)
     free = [n.path for n in values]
     far = towards * np.array([nuisance.REACH * n.prior for n in values])
-    once = moved(model, values, free, far)
-    again = moved(once, values, free, far)
+    once = model_at(model, values, free, far)
+    again = model_at(once, values, free, far)
     assert once.camera.read_noise_e == pytest.approx(model.camera.read_noise_e * np.exp(towards * 0.2))
     assert again.camera.read_noise_e == pytest.approx(once.camera.read_noise_e)
     assert again.optics.psf_fwhm_nm == pytest.approx(once.optics.psf_fwhm_nm)
@@ -118,7 +118,7 @@ def test_a_lead_does_not_take_credit_for_a_value_at_its_end():
     x[:, :4] = 3.0 * 9.0  # brightness would move by 9, and may by 1.25
     idle = Ray(catalogue()["laser_drift"](), np.full((3, 25), 1e-9))
     lead = state.screen(x, {"laser_drift": [idle]})["laser_drift"][0]
-    assert state.profiled(x).moves[0] == pytest.approx(state.room[1, 0])
+    assert state.adjusted(x).moves[0] == pytest.approx(state.room[1, 0])
     assert abs(lead.gain) < 0.1
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from napari_mufasa.cli import console
-from napari_mufasa.cli.measuring import trace_table, write_figures
+from napari_mufasa.cli.measuring import trace_table
 from napari_mufasa.cli.options import (
     DarkFile,
     ModelFile,
@@ -23,7 +23,6 @@ from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.discover.result import Report
-    from napari_mufasa.discover.traces_alone import TraceReport
 
 
 def diagnose(
@@ -41,7 +40,6 @@ def diagnose(
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
     from napari_mufasa import discover, files
-    from napari_mufasa.discover import traces_alone
     from napari_mufasa.model.model import Model
 
     console.check_folder_out(out)
@@ -51,8 +49,8 @@ def diagnose(
             raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
         table = trace_table(movie, unit, profile, with_background)
         with console.working("diagnosing") as work:
-            found = traces_alone.diagnose_traces(**table, model=believed, seed=seed, **work.both())
-        _finish_traces(out, found)
+            report = discover.diagnose_traces(**table, model=believed, seed=seed, **work.both())
+        _finish(out, report, table["traces"], "{}: {} traces of {} frames".format(movie.name, *table["traces"].shape))
         return
     for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
         if given is not None:
@@ -60,7 +58,7 @@ def diagnose(
     recorded, background = files.load(movie), None if dark is None else files.load(dark)
     with console.working("diagnosing") as work:
         report = discover.diagnose(recorded, believed, background, seed=seed, **work.both())
-    _finish(out, report, movie, recorded, background)
+    _finish_movie(out, report, movie, recorded, background)
 
 
 def refine(
@@ -83,7 +81,7 @@ def refine(
     recorded, background = files.load(movie), None if dark is None else files.load(dark)
     with console.working("refining") as work:
         report = discover.refine(recorded, believed, effects, background, seed=seed, **work.both())
-    _finish(out, report, movie, recorded, background)
+    _finish_movie(out, report, movie, recorded, background)
 
 
 def _effect(model: Any, text: str) -> Any:
@@ -92,66 +90,26 @@ def _effect(model: Any, text: str) -> Any:
     return effect if ":" in text else effect.kind
 
 
-def _finish_traces(out: Path, found: TraceReport) -> None:
-    from napari_mufasa import files
+def _finish_movie(out: Path, report: Report, movie: Path, recorded: Any, background: Any) -> None:
     from napari_mufasa.report import figures
-    from napari_mufasa.report import plots as plotting
 
-    shown = list(found.distributions().values())
-    drawings = [
-        figures.Drawing("distributions", "", (7.2, 7.2), lambda f: plotting.distributions(f, shown)),
-        figures.Drawing("traces", "", (7.2, 5.4), lambda f: plotting.contact_sheet(f, found.traces["measured"])),
-    ]
-    with files.filling(out) as folder:
-        files.write_json(folder / "report.json", found.as_dict())
-        found.model.to_json(folder / "model.json")
-        write_figures(folder, drawings)
-    error, w1 = found.error, found.w1
-    typer.echo(f"verdict: {found.verdict}" + (f" ({', then '.join(found.chosen)})" if found.chosen else ""))
-    console.print_table(
-        ("", "before", "after", "floor"),
-        [
-            ("error", error["before"], error["after"], error["floor"]),
-            (f"W1 ({w1['unit']})", w1["before"], w1["after"], w1["floor"]),
-        ],
-    )
-    for i, rows in enumerate(found.as_dict()["rounds"], 1):
-        typer.echo(f"round {i}: every effect added and fitted; error and W1 on molecules not used to fit")
-        console.print_table(
-            ("effect", "error", "W1", "W1 / floor", "p", "values", "as good"),
-            [
-                (row["effect"], row["error_after"], row["w1_after"], row["w1_after"] / w1["floor"], row["p_value"],
-                 _values(row["parameters"]), ", ".join(row["indistinguishable_from"]))
-                for row in rows
-            ],
-        )  # fmt: skip
-    for note in found.notes:
-        typer.echo(f"note: {note}")
-    typer.echo(f"see {out / 'report.json'}")
+    n_frames, height, width = recorded.shape
+    subtitle = f"{movie.name}: {n_frames} frames of {height} × {width} px"
+    _finish(out, report, figures.traces_to_show(recorded, report.base, background), subtitle)
 
 
-def _values(parameters: dict[str, Any]) -> str:
-    def told(value: Any) -> str:
-        if isinstance(value, float):
-            return f"{value:.3g}"
-        return f"({len(value)} values)" if isinstance(value, (tuple, list)) else str(value)
-
-    return " ".join(f"{name}={told(value)}" for name, value in parameters.items() if value != ())
-
-
-def _finish(out: Path, report: Report, movie: Path, recorded: Any, background: Any) -> None:
+def _finish(out: Path, report: Report, traces: Any, subtitle: str) -> None:
     from napari_mufasa import files
-    from napari_mufasa.report import figures
     from napari_mufasa.report import html as html_report
     from napari_mufasa.report.words import summary
 
-    traces = figures.traces_to_show(recorded, report.base, background)
-    n_frames, height, width = recorded.shape
-    subtitle = f"{movie.name}: {n_frames} frames of {height} × {width} px"
     with files.filling(out) as folder:
         html_report.export(folder, report, traces, subtitle)
     for line in summary(report):
         typer.echo(line)
+    if w1 := report.w1:
+        rows = [(f"W1 ({w1['unit']})", w1["before"], w1["after"], w1["floor"])]
+        console.print_table(("", "before", "after", "floor"), rows)
     typer.echo(f"see {out / 'report.html'}")
 
 

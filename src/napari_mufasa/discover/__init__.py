@@ -1,8 +1,7 @@
 """Where a model fails, which physical effect is missing, and how the error falls when it is added."""
 
-from napari_mufasa.discover.automatic import diagnose, refine
+from napari_mufasa.discover.automatic import diagnose, diagnose_traces, refine
 from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.result import Candidate, Curve, Report
-from napari_mufasa.discover.traces_alone import diagnose_traces
 
 __all__ = ["Candidate", "Curve", "Investigation", "Report", "diagnose", "diagnose_traces", "refine"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from napari_mufasa.discover.investigation import Investigation
+from napari_mufasa.discover.investigation import Investigation, TraceInvestigation
 from napari_mufasa.discover.result import Candidate, Report
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
@@ -41,6 +41,47 @@ def diagnose(
     MufasaError : a movie, dark frames, model or kind of effect that cannot be used.
     """
     inquiry = Investigation(movie, model, dark, seed=seed, effects=effects, progress=progress, cancel=cancel)
+    return _played(inquiry, max_effects)
+
+
+def diagnose_traces(
+    traces: Any,
+    model: Model,
+    *,
+    unit: str = "photoelectrons",
+    profile: str = "psf",
+    background_subtracted: bool = True,
+    pixel_share: float | None = None,
+    effects: Sequence[str] | None = None,
+    max_effects: int = 3,
+    seed: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Report:
+    """Find what a model lacks to explain a table of traces (molecule, frame), when there is no movie (SPEC.md §9).
+
+    The same evidence, rules and report as for movies, from what traces show without an image. Brightness and
+    background are fitted first, from ADU also the EM gain.
+
+    Parameters
+    ----------
+    traces … pixel_share : as for `compare_traces`
+    effects : kinds to consider; None: those of photophysics and light that a lone trace can show
+    max_effects, seed, progress, cancel : as for `diagnose`
+
+    Raises
+    ------
+    MufasaError : traces that are too few or unusable, an unknown effect or option.
+    """
+    inquiry = TraceInvestigation(
+        traces, model, unit=unit, profile=profile, background_subtracted=background_subtracted,
+        pixel_share=pixel_share, seed=seed, effects=effects, progress=progress, cancel=cancel,
+    )  # fmt: skip
+    return _played(inquiry, max_effects)
+
+
+def _played(inquiry: Investigation, max_effects: int) -> Report:
+    """The whole conversation: effects are added while they convince."""
     inquiry.examine()
     told: list[Candidate] = []  # the ranking a reader wants is that of the base model
     while len(inquiry.chosen) < max_effects and inquiry.leads() and inquiry.alarmed():

@@ -1,63 +1,128 @@
-"""Simulated movies as rows of observables: the only door through which a diagnosis sees a model.
+"""Simulations as rows of observables: the only door through which a diagnosis sees a measurement and a model.
 
 Every row comes from the simulator that users run, through the observation that the measurement went through.
-Rows of one seed share all chance that the models share (see `variates`), so that differences are precise.
+Rows of one seed share all chance that the models share (see `variates`), so that differences are precise. There is
+one bench for movies (`movie_bench`) and one for tables of traces (`trace_bench`); nothing else of a diagnosis knows
+which of them it works with.
 """
 
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.discover.measurement import Measurement
+from napari_mufasa.discover.metric import spread_floor
+from napari_mufasa.discover.nuisance import Nuisance
+from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import Cancelled
 from napari_mufasa.model.model import Model
-from napari_mufasa.observe import DarkView, Observation, observe, view_dark
-from napari_mufasa.simulate.movie import simulate, simulate_dark
+from napari_mufasa.observe.table import Meaning
 
 Array = NDArray[np.float64]
 WORKERS = max(1, min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1))
-CAMERA_STAGE = "camera"
 
 
-class Bench:
-    """Simulates and observes models in the measurement's form; counts, reports progress, can be cancelled."""
+class Observed(Protocol):
+    """Observables of one measurement or simulation: (part, observable) values in a fixed order."""
+
+    @property
+    def values(self) -> Array: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def meanings(self) -> dict[str, Meaning]: ...
+
+
+Seen = TypeVar("Seen", bound=Observed)
+
+
+class Bench(ABC, Generic[Seen]):
+    """Simulates and observes models in the measurement's form; counts, reports progress, can be cancelled.
+
+    start : the model believed, in the measurement's form · measured : what the measurement shows
+    x (part, observable) : its numbers, 0 where it shows none · notes : choices made, for the reader
+    matching_simulations : how many simulations `matched` makes · is_cheap : whether simulations and matching take so
+    little time that every effect tried has the values of the model matched beside it
+    gaps : observables that some simulation beside the base model did not show (see `Library.simulated`)
+    """
+
+    matching_simulations: int
+    is_cheap = False
 
     def __init__(
         self,
-        measurement: Measurement,
+        start: Model,
+        measured: Seen,
         seed: int,
+        notes: Sequence[str] = (),
         progress: Callable[[int, int], None] | None = None,
         cancel: Callable[[], bool] | None = None,
     ) -> None:
-        self.measurement = measurement
-        self.seed = seed
+        self.start, self.measured, self.seed, self.notes = start, measured, seed, tuple(notes)
+        self.x: Array = np.where(np.isfinite(measured.values), measured.values, 0.0)
+        self.gaps: set[str] = set()
         self.done = 0
         self.planned = 1
         self._progress, self._cancel = progress, cancel
-        self._dark: dict[tuple[str, int], DarkView] = {}
-        self._eyes = measurement.model  # the same eyes for all: units and PSF width believed
-        self.measured = observe(measurement.movie, self._eyes, measurement.dark)
+
+    # What depends on the kind of measurement ----------------------------------------------------------------
+
+    @abstractmethod
+    def simulated(self, model: Model, seed: int) -> Seen:
+        """What a simulation of the model shows, through the same eyes as the measurement."""
+
+    @abstractmethod
+    def free_values(self, model: Model) -> list[Nuisance]:
+        """The values of the model that are fitted beside every effect."""
+
+    @abstractmethod
+    def matched(self, model: Model) -> Model:
+        """The model with its free values brought near the measurement by a few of its numbers."""
+
+    @abstractmethod
+    def read_off(self, kind: str) -> dict[str, Any]:
+        """Parameters of an effect that the measurement shows directly, by name."""
+
+    @abstractmethod
+    def curves(self, before: Sequence[Seen], after: Sequence[Seen]) -> list[Curve]:
+        """What to draw: the measurement, a few simulations of the base and of the completed model."""
+
+    @abstractmethod
+    def w1(self, before: Sequence[Seen], after: Sequence[Seen]) -> dict[str, Any]:
+        """W1 of traces, as `Report.w1` has it; nothing for movies, which `compare` compares."""
+
+    @abstractmethod
+    def restored(self, model: Model, believed: Model) -> Model:
+        """The model in the form of the one believed, ready for its user."""
+
+    # What does not ------------------------------------------------------------------------------------------
 
     @property
     def names(self) -> tuple[str, ...]:
         return self.measured.names
+
+    def least_spread(self) -> Array:
+        """(observable,) the least standard deviation that each is credited with."""
+        return spread_floor(self.names)
 
     def plan(self, more: int) -> None:
         """Announce simulations to come, for the progress bar."""
         self.planned = self.done + more
 
     def rows(self, jobs: Sequence[tuple[Model, int]]) -> Array:
-        """(job, part, observable) for (model, seed number) jobs, in order, on all cores."""
+        """(job, part, observable) for (model, seed number) jobs, in order, on all cores; NaN where a simulation does
+        not show an observable."""
         return np.array([o.values for o in self.observations(jobs)]).reshape(len(jobs), *self.measured.values.shape)
 
-    def observations(self, jobs: Sequence[tuple[Model, int]]) -> list[Observation]:
+    def observations(self, jobs: Sequence[tuple[Model, int]]) -> list[Seen]:
         with ThreadPoolExecutor(WORKERS) as pool:
-            pending = [pool.submit(self._one, model, number) for model, number in jobs]
+            pending = [pool.submit(self.simulated, model, self.seed * 100_003 + number) for model, number in jobs]
             found = []
             try:
                 for future in pending:
@@ -72,22 +137,6 @@ class Bench:
                     future.cancel()
                 raise
         return found
-
-    def _one(self, model: Model, number: int) -> Observation:
-        seed = self.seed * 100_003 + number
-        movie = simulate(model, seed=seed).movie
-        dark = None if self.measurement.dark is None else self._dark_view(model, seed)
-        return observe(movie, self._eyes, dark)
-
-    def _dark_view(self, model: Model, seed: int) -> DarkView:
-        """Dark frames depend on the camera and its effects only: made once for each."""
-        assert self.measurement.dark is not None
-        camera_effects = tuple(e for e in model.effects if e.stage == CAMERA_STAGE)
-        model = model.model_copy(update={"effects": camera_effects})
-        key = (repr((model.camera, camera_effects)), seed)
-        if key not in self._dark:
-            self._dark[key] = view_dark(simulate_dark(model, len(self.measurement.dark), seed), self._eyes)
-        return self._dark[key]
 
 
 def as_table(names: Sequence[str], values: Array) -> dict[str, float]:

@@ -70,35 +70,35 @@ class Contest:
             self.tried |= {kind: self._best_form(self.tried[kind]) for kind in contested}
             self.formed = set(contested)
         if not far and len(close := self._within(CLOSE)) > 1:
-            again = judged_again(self.library, [self.tried[kind] for kind in close], self.x)
+            again = sharpened(self.library, [self.tried[kind] for kind in close], self.x)
             self.tried |= zip(close, again, strict=True)
 
     def _tried(self, forms: Sequence[Lead], to_beat: float) -> Fit | None:
         """The best of an effect's forms fitted, None where it explains far less than `to_beat`. A fit that explains
         more than chance and still ends at no strength has gone astray: then the other forms have their turn."""
         starts, promised = [lead.start() for lead in forms], forms[0].gain
-        found = fit.refine_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
+        found = fit.fit_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
         if found is None or found.is_some or self.evidence(found) < self._null().evidence.at(ALARM):
             return found
         others = [start for start in starts if start.form_name != found.effect.form_name]
-        again = fit.refine_if_promising(self.library, self.state, others, self.x, to_beat) if others else None
+        again = fit.fit_if_promising(self.library, self.state, others, self.x, to_beat) if others else None
         return again if again is not None and again.is_some else found
 
     def fitted(self, starts: Sequence[Effect]) -> Fit:
         """One effect from the best of `starts`, its forms; where misfit is left, in its best form."""
         kind = starts[0].kind
-        found = self.tried.get(kind) or fit.refine(self.library, self.state, starts, self.x)
+        found = self.tried.get(kind) or fit.fit_effect(self.library, self.state, starts, self.x)
         return found if kind in self.formed else self._best_form(found)
 
     def settled(self, found: Fit) -> Fit:
         """The fit judged by more simulations; where it leaves more than chance, also with derivatives of its own, and
         once more where its best lies beyond what was simulated."""
-        (found,) = judged_again(self.library, [found], self.x)
+        (found,) = sharpened(self.library, [found], self.x)
         for turn in range(2):
             if self._content(found) or (turn and not fit.lies_beyond(found, self.x)):
                 break
-            self.library.bench.plan(fit.settling_simulations(len(found.state.free)))
-            again = fit.settle(self.library, found, self.x, anew=True)
+            self.library.bench.plan(fit.sharpening_simulations(self.library, len(found.state.free)))
+            again = fit.sharpen(self.library, found, self.x, anew=True)
             if again.score >= found.score:
                 break
             found = again
@@ -130,7 +130,7 @@ class Contest:
             starts.append(changed(found.effect, {}, form=plain))
         self.library.bench.plan(len(starts) * fit.planned_simulations())
         least = FORM_WORTH / fit.HOPELESS * self.evidence(found)
-        tries = [fit.refine_if_promising(self.library, self.state, start, self.x, least) for start in starts]
+        tries = [fit.fit_if_promising(self.library, self.state, start, self.x, least) for start in starts]
         return self._closest([found, *filter(None, tries)])
 
     def _closest(self, fits: Sequence[Fit]) -> Fit:
@@ -143,7 +143,7 @@ class Contest:
         bar = CLOSE * max(self.evidence(found) for found in fits)
         close = [found for found in fits if self.evidence(found) > bar] or fits
         if len(close) > 1:
-            close = judged_again(self.library, close, self.x)
+            close = sharpened(self.library, close, self.x)
 
         def worse(found: Fit) -> float:
             error = found.state.held_out_error(self.x)
@@ -162,7 +162,7 @@ def _worth_a_fit(leads: dict[str, list[Lead]], needed: dict[str, float] | None) 
     return [k for i, k in enumerate(order) if i < 1 or gain[i] > PROMISING * needed[k]]
 
 
-def judged_again(library: Library, fits: Sequence[Fit], x: Array) -> list[Fit]:
+def sharpened(library: Library, fits: Sequence[Fit], x: Array) -> list[Fit]:
     """Fits judged by more simulations."""
-    library.bench.plan(len(fits) * fit.settling_simulations())
-    return [fit.settle(library, found, x) for found in fits]
+    library.bench.plan(len(fits) * fit.sharpening_simulations(library))
+    return [fit.sharpen(library, found, x) for found in fits]

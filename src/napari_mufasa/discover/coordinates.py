@@ -46,7 +46,7 @@ class Coordinate:
             found.append(cls(name, log, unit, max(low, least), min(high, most)))
         return found
 
-    def moved(self, effect: Effect, by: float) -> float:
+    def value_at(self, effect: Effect, by: float) -> float:
         value = float(getattr(effect, self.name))
         new = value * float(np.exp(by)) if self.log else value + by * self.unit
         # Where it is beyond the range already, it may stay there.
@@ -63,7 +63,7 @@ class Coordinate:
     def inward(self, effect: Effect, step: float) -> float:
         """A step of that size that the range does not cut short."""
         here = float(getattr(effect, self.name))
-        there, back = abs(self.moved(effect, step) - here), abs(self.moved(effect, -step) - here)
+        there, back = abs(self.value_at(effect, step) - here), abs(self.value_at(effect, -step) - here)
         return step if there >= 0.99 * back else -step
 
     def sd(self, effect: Effect, sd: float) -> float:
@@ -80,14 +80,14 @@ class Coordinate:
         return abs(float(getattr(effect, self.name))) if self.log else self.unit
 
 
-def moved(model: Model, values: Sequence[Nuisance], free: Sequence[str], moves: Array) -> Model:
+def model_at(model: Model, values: Sequence[Nuisance], free: Sequence[str], moves: Array) -> Model:
     """The model with its free values moved: nuisance values first, then parameters of effects."""
     effects = {effect.kind: effect for effect in model.effects}
     model = nuisance.apply(model, values, moves[: len(values)])
     for path, by in zip(free[len(values) :], moves[len(values) :], strict=True):
         kind, name = path.rsplit(".", 1)
         coordinate = next(c for c in Coordinate.of(effects[kind], model) if c.name == name)
-        effects[kind] = changed(effects[kind], {name: coordinate.moved(effects[kind], float(by))})
+        effects[kind] = changed(effects[kind], {name: coordinate.value_at(effects[kind], float(by))})
     return model.model_copy(update={"effects": tuple(effects.values())})
 
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
+Rows = Callable[[Sequence[tuple[Model, int]]], Array]
 SLOPE_SEEDS = 3
 PARAMETER_STEP = 0.2  # of effects in the model, in log units or quarters of the range
 
@@ -28,10 +28,13 @@ def free_steps(model: Model, values: Sequence[Nuisance], free: Sequence[str]) ->
     return steps
 
 
-def derivatives(bench: Bench, model_at: Callable[[Array], Model], steps: list[float], base: Array) -> Array:
-    """Derivatives of the observables (part, observable, free value), by differences of paired simulations."""
+def derivatives(rows_of: Rows, model_at: Callable[[Array], Model], steps: list[float], base: Array) -> Array:
+    """Derivatives of the observables (part, observable, free value), by differences of paired simulations.
+
+    rows_of : simulates (model, seed number) jobs · base (simulation, part, observable) : what they are paired with
+    """
     jobs = [(model_at(by), k) for by in np.diag(steps) for k in range(SLOPE_SEEDS)]
-    rows = bench.rows(jobs).reshape(len(steps), SLOPE_SEEDS, *base.shape[1:])
+    rows = rows_of(jobs).reshape(len(steps), SLOPE_SEEDS, *base.shape[1:])
     change = rows - base[:SLOPE_SEEDS]
     mean, variance = change.mean(axis=1), change.var(axis=1, ddof=1) / SLOPE_SEEDS
     return np.moveaxis(mean * trusted(mean, variance) / np.array(steps)[:, None, None], 0, -1)

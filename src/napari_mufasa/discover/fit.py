@@ -21,8 +21,7 @@ from napari_mufasa.discover.library import (
     Library,
 )
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
-from napari_mufasa.discover.nearing import rematched, rematching_simulations
-from napari_mufasa.discover.read_off import read_off
+from napari_mufasa.discover.nearing import nearer, nearing_simulations
 from napari_mufasa.discover.state import Ray, State, scaled
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
@@ -37,7 +36,7 @@ LOOSE = 2.5  # prior width of an effect's parameters in spreads of the simulatio
 MOST_ROUNDS = 3
 HOPELESS = 0.5  # a start with less than this share of the evidence to beat is not fitted further
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
-SETTLING_SIMULATIONS = 24  # around an effect that enters the model …
+SHARPENING_SIMULATIONS = 24  # around an effect that enters the model …
 FAR = 2.5  # … so many standard deviations of each parameter away
 SURELY_SOME = 2.0  # standard deviations that a strength must be away from none
 FOLDS, LEAST_FOLLOWED = 6, 0.1  # of the simulations around a fit, and how little of the truth it may follow
@@ -71,29 +70,29 @@ def planned_simulations() -> int:
     return 6 + 2 * ROUND_SIMULATIONS + CHECK_SIMULATIONS
 
 
-def settling_simulations(n_free: int = 0) -> int:
-    """Of a fit that is judged again; `n_free` values' derivatives and their matching with it, where it is done anew."""
-    anew = SLOPE_SEEDS * n_free + rematching_simulations() if n_free else 0
-    return CHECK_SIMULATIONS + SETTLING_SIMULATIONS + anew
+def sharpening_simulations(library: Library, n_free: int = 0) -> int:
+    """Of a fit that is sharpened; `n_free` values' derivatives and their matching with it, where it is done anew."""
+    anew = SLOPE_SEEDS * n_free + nearing_simulations(library.bench) if n_free else 0
+    return CHECK_SIMULATIONS + SHARPENING_SIMULATIONS + anew
 
 
-def refine(library: Library, state: State, starts: Effect | Sequence[Effect], x: Array) -> Fit:
+def fit_effect(library: Library, state: State, starts: Effect | Sequence[Effect], x: Array) -> Fit:
     """Fit an effect into `state` so that it explains the measurement x (part, observable), from the best of `starts`:
     the same effect in different forms."""
-    found = refine_if_promising(library, state, starts, x, 0.0)
+    found = fit_if_promising(library, state, starts, x, 0.0)
     assert found is not None  # nothing to beat
     return found
 
 
-def refine_if_promising(
+def fit_if_promising(
     library: Library, state: State, starts: Effect | Sequence[Effect], x: Array, to_beat: float, promised: float = 0.0
 ) -> Fit | None:
-    """As `refine`; None where the best start gives, and the lead `promised`, far less evidence than `to_beat`.
+    """As `fit_effect`; None where the best start gives, and the lead `promised`, far less evidence than `to_beat`.
 
     One simulation of an effect that is chance itself (flicker) explains less than its law does: hence the lead's word.
     """
     starts = [starts] if isinstance(starts, Effect) else starts
-    seen = read_off(starts[0].kind, library.bench.measured)
+    seen = library.bench.read_off(starts[0].kind)
     starts = [changed(start, seen) for start in starts]
     climbed, gain = _climbed(library, state, _best_shape(library, state, starts, set(seen), x), x)
     if to_beat > 0 and max(gain, promised) < HOPELESS * to_beat:
@@ -102,19 +101,19 @@ def refine_if_promising(
     n = len(coordinates)
     local = replace(
         state,
-        model=state.model.with_effects(climbed),
+        model=library.beside(state, climbed),
         free=(*state.free, *(f"{climbed.kind}.{c.name}" for c in coordinates)),
     )
     width = WIDE
     for turn in range(MOST_ROUNDS):
         local = _linearised(library, state, local, coordinates, width, turn)
-        moves = local.profiled(x).moves
-        local = replace(local, model=local.moved(moves))
+        moves = local.adjusted(x).moves
+        local = replace(local, model=local.model_at(moves))
         if width == NARROW:
             break
         far = turn + 2 < MOST_ROUNDS and n > 0 and np.abs(moves[-n:]).max() > 1.5 * width
         width = WIDE if far else NARROW
-    return judge(library, local, x, n)
+    return check(library, local, x, n)
 
 
 def _best_shape(library: Library, state: State, starts: Sequence[Effect], known: set[str], x: Array) -> Effect:
@@ -132,7 +131,7 @@ def _best_shape(library: Library, state: State, starts: Sequence[Effect], known:
                 trials.append(changed(trial, {name: value}))
     if len(trials) == 1:
         return start
-    rows = library.bench.rows([(state.model.with_effects(trial), k) for k, trial in enumerate(trials)])
+    rows = library.simulated([(library.beside(state, trial), k) for k, trial in enumerate(trials)])
     shift = rows - library.rows[: len(trials)]
     reached = state.mean - library.base.mean  # by the effects that are in the model already
     rays = [Ray(trial, change - reached) for trial, change in zip(trials, shift, strict=True)]
@@ -144,7 +143,7 @@ def _climbed(library: Library, state: State, start: Effect, x: Array) -> tuple[E
     grows while its end is best."""
 
     def misfits(factors: list[float]) -> dict[float, float]:
-        rows = library.bench.rows([(state.model.with_effects(scaled(start, f)), k) for k, f in enumerate(factors)])
+        rows = library.simulated([(library.beside(state, scaled(start, f)), k) for k, f in enumerate(factors)])
         shift = rows - library.rows[: len(factors)]
         return {f: replace(state, mean=library.base.mean + s).misfit(x) for f, s in zip(factors, shift, strict=True)}
 
@@ -164,9 +163,9 @@ def _linearised(
     """The neighbourhood of `local.model`: mean, slopes and spread from paired simulations around it."""
     effect, n = local.model.effects[-1], len(coordinates)
     offsets = _design(ROUND_SIMULATIONS, n, width, np.random.default_rng([library.bench.seed, turn]))
-    settings = [{c.name: c.moved(effect, b) for c, b in zip(coordinates, by, strict=True)} for by in offsets]
+    settings = [{c.name: c.value_at(effect, b) for c, b in zip(coordinates, by, strict=True)} for by in offsets]
     jobs = [(local.model.with_effects(changed(effect, setting)), k) for k, setting in enumerate(settings)]
-    shift = library.bench.rows(jobs) - library.rows[:ROUND_SIMULATIONS]
+    shift = library.simulated(jobs) - library.rows[:ROUND_SIMULATIONS]
     centre, slopes = _regress(offsets, shift)
     wild = shift - centre - np.einsum("kd,pod->kpo", offsets, slopes)
     return replace(
@@ -178,12 +177,12 @@ def _linearised(
     )
 
 
-def judge(library: Library, local: State, x: Array, n_effect: int) -> Fit:
+def check(library: Library, local: State, x: Array, n_effect: int) -> Fit:
     """Fresh simulations of the fitted model: its mean, its spread, its score."""
     n = len(local.prior) - n_effect
     local = replace(local, prior=np.concatenate([local.prior[:n], np.full(n_effect, 0.3)]))
-    rows = library.bench.rows([(local.model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    return _judged(library, local, rows, x, n_effect)
+    rows = library.simulated([(local.model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
+    return _checked_by(library, local, rows, x, n_effect)
 
 
 def without(library: Library, state: State, kind: str, n_effect: int, x: Array) -> Fit:
@@ -192,10 +191,10 @@ def without(library: Library, state: State, kind: str, n_effect: int, x: Array) 
     model = state.model.model_copy(update={"effects": tuple(e for e in state.model.effects if e.kind != kind)})
     free = tuple(path for path, stays in zip(state.free, keep, strict=True) if stays)
     local = replace(state, model=model, free=free, slopes=state.slopes[:, :, keep], prior=state.prior[keep])
-    return judge(library, local, x, n_effect)
+    return check(library, local, x, n_effect)
 
 
-def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
+def sharpen(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
     """The fit judged by more simulations, as suits one that enters the model or has a close rival.
 
     Its effect is moved to its best, and simulated with parameters as far to either side as they are uncertain: few
@@ -207,40 +206,40 @@ def settle(library: Library, found: Fit, x: Array, anew: bool = False) -> Fit:
         return found
     local, n = found.state, n_effect(found)
     others = len(local.free) - n
-    best = local.profiled(x).moves
+    best = local.adjusted(x).moves
     if not anew:
         best[:others] = 0.0
-    model = local.moved(best)
+    model = local.model_at(best)
     if anew:
-        model = rematched(library, local, model, x)
+        model = nearer(library, local, model, x)
     local = replace(local, model=model)
 
     def around(by: Array) -> Model:
-        return local.moved(by)
+        return local.model_at(by)
 
     uncertain = [c.steps(found.effect, found.sd[c.name] / found.birge) for c in _own_coordinates(found)]
     widths = np.clip(FAR * np.array(uncertain), NARROW, WIDEST)
-    rng = np.random.default_rng([library.bench.seed, SETTLING_SIMULATIONS])
-    offsets = np.zeros((CHECK_SIMULATIONS + SETTLING_SIMULATIONS, len(local.free)))
-    offsets[CHECK_SIMULATIONS:, others:] = _design(SETTLING_SIMULATIONS, n, widths, rng)
-    numbers = [CHECK_SEED + k for k in range(CHECK_SIMULATIONS)] + list(range(SETTLING_SIMULATIONS))
-    made = library.bench.rows([(around(by), k) for by, k in zip(offsets, numbers, strict=True)])
+    rng = np.random.default_rng([library.bench.seed, SHARPENING_SIMULATIONS])
+    offsets = np.zeros((CHECK_SIMULATIONS + SHARPENING_SIMULATIONS, len(local.free)))
+    offsets[CHECK_SIMULATIONS:, others:] = _design(SHARPENING_SIMULATIONS, n, widths, rng)
+    numbers = [CHECK_SEED + k for k in range(CHECK_SIMULATIONS)] + list(range(SHARPENING_SIMULATIONS))
+    made = library.simulated([(around(by), k) for by, k in zip(offsets, numbers, strict=True)])
     offsets = offsets[:, others:]
     _, slopes = _regress(offsets, made - _base_rows(library, len(made)))
     rows = made - np.einsum("kd,pod->kpo", offsets, slopes)  # as if all were made at the best
     fixed = local.slopes[:, :, :others]
     if anew and others:
         steps = free_steps(model, local.values, local.free)[:others]
-        fixed = derivatives(library.bench, lambda by: around(np.pad(by, (0, n))), steps, rows[CHECK_SIMULATIONS:])
+        fixed = derivatives(library.simulated, lambda by: around(np.pad(by, (0, n))), steps, rows[CHECK_SIMULATIONS:])
     prior = np.concatenate([local.prior[:others], LOOSE * widths])
     local = replace(local, slopes=np.concatenate([fixed, slopes], axis=2), prior=prior)
-    return _judged(library, local, rows, x, n, (made, offsets))
+    return _checked_by(library, local, rows, x, n, (made, offsets))
 
 
 def lies_beyond(found: Fit, x: Array) -> bool:
     """Whether the effect's best for the measurement x lies beyond the simulations that it was judged by."""
     n = n_effect(found)
-    moves, widths = found.state.profiled(x).moves, found.state.prior / LOOSE
+    moves, widths = found.state.adjusted(x).moves, found.state.prior / LOOSE
     return bool(np.any(np.abs(moves) > widths, where=np.arange(len(moves)) >= len(moves) - n))
 
 
@@ -260,7 +259,7 @@ def _base_rows(library: Library, n: int) -> Array:
     return np.concatenate([library.base.check, library.rows])[:n]
 
 
-def _judged(
+def _checked_by(
     library: Library, local: State, rows: Array, x: Array, n_effect: int, around: tuple[Array, Array] | None = None
 ) -> Fit:
     """The fit by simulations of its model, numbered as the base model's check simulations and then as its others.
@@ -275,12 +274,12 @@ def _judged(
         errors.append(unaware.held_out_error(rows[i]))
         misfits.append(unaware.misfit(rows[i]))
     state = replace(state, floor=float(np.median(errors)))
-    effect = state.moved(state.profiled(x).moves).effects[-1]
+    effect = state.model_at(state.adjusted(x).moves).effects[-1]
     misfit = state.misfit(x)
     birge = max(1.0, misfit / float(np.median(misfits))) ** 0.5
     # The same fit of simulations whose truth is known: what the linear theory leaves out shows in their scatter.
     if around is None:
-        scatter = np.std([state.profiled(row).moves[len(state.prior) - n_effect :] for row in rows], axis=0, ddof=1)
+        scatter = np.std([state.adjusted(row).moves[len(state.prior) - n_effect :] for row in rows], axis=0, ddof=1)
     else:
         scatter = _calibrated(library, state, *around)
     return Fit(state, effect, _uncertainty(state, scatter, birge, effect), state.score(x), misfit, birge)
@@ -325,7 +324,7 @@ def _calibrated(library: Library, state: State, rows: Array, offsets: Array) -> 
         unseen = numbers % FOLDS == fold
         _, slopes = _regress(offsets[~unseen], change[~unseen])
         unaware = replace(state, slopes=np.concatenate([state.slopes[:, :, :others], slopes], axis=2))
-        found[unseen] = [unaware.profiled(row).moves[others:] for row in rows[unseen]]
+        found[unseen] = [unaware.adjusted(row).moves[others:] for row in rows[unseen]]
     follow = (found * offsets).sum(axis=0) / (offsets**2).sum(axis=0)
     scatter: Array = (found - follow * offsets).std(axis=0, ddof=1) / np.clip(follow, LEAST_FOLLOWED, 1.0)
     return scatter

@@ -2,7 +2,7 @@
 
 An effect enters as rays: simulations at a few strengths, shapes and forms, each minus the base simulation
 of the same seed. Along a ray the shift grows with strength. A ray that explains the residual is a lead; the
-fit (`fit.refine`) decides.
+fit (`fit.fit_effect`) decides.
 """
 
 from __future__ import annotations
@@ -16,14 +16,10 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.bench import Bench
-from napari_mufasa.discover.coordinates import Coordinate, changed, moved
+from napari_mufasa.discover.coordinates import Coordinate, changed, model_at
 from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
-from napari_mufasa.discover.metric import (
-    shrunk_correlation,
-    spread_floor,
-    whitener,
-)
-from napari_mufasa.discover.read_off import read_off
+from napari_mufasa.discover.metric import shrunk_correlation, whitener
+from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.state import Ray, State, two_sided
 from napari_mufasa.effects import Effect, catalogue
 from napari_mufasa.model.model import Model
@@ -40,10 +36,34 @@ RAYS = 4  # settings of each effect, plus one for each shape parameter
 class Library:
     """The base state, its paired simulations (simulation, part, observable) and rays."""
 
-    bench: Bench
+    bench: Bench[Any]
     base: State
     rows: Array
     rays: dict[str, list[Ray]]
+
+    def simulated(self, jobs: Sequence[tuple[Model, int]]) -> Array:
+        """Rows (job, part, observable) of models beside the base model.
+
+        What such a simulation does not show (no spot is left in half of the field) is that of its twin, the base
+        simulation of the same number: as evidence it counts neither for nor against.
+        """
+        rows = self.bench.rows(jobs)
+        for row, (_, number) in zip(rows, jobs, strict=True):
+            if (gap := ~np.isfinite(row)).any():
+                row[gap] = self._twin(number)[gap]
+                missing = gap.any(axis=0) & self.base.measurable
+                self.bench.gaps |= {self.bench.names[i] for i in np.flatnonzero(missing)}
+        return rows
+
+    def beside(self, state: State, effect: Effect) -> Model:
+        """The model of a state with an effect; where that is cheap, its values matched again beside it, in reach of
+        where they started."""
+        model = state.model.with_effects(effect)
+        return nuisance.kept(self.bench.matched(model), state.values) if self.bench.is_cheap else model
+
+    def _twin(self, number: int) -> Array:
+        twin: Array = self.base.check[number - CHECK_SEED] if number >= CHECK_SEED else self.rows[number]
+        return twin
 
     def null_distribution(self, folds: int = 4) -> tuple[Array, Array]:
         """Largest evidence and misfit of base simulations taken as measurements.
@@ -79,11 +99,11 @@ def _with_noise_of(state: State, rows: Array) -> State:
 
 
 def build(
-    bench: Bench,
+    bench: Bench[Any],
     model: Model,
     kinds: Sequence[str],
     added: Sequence[str] = (),
-    values: Sequence[nuisance.Nuisance] | None = None,
+    values: Sequence[Nuisance] | None = None,
 ) -> Library:
     """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks.
 
@@ -91,32 +111,38 @@ def build(
     effects that were `added`, but for those that are read off the movie; effects of the model believed stay as they
     are believed.
     """
-    values = nuisance.nuisances(model) if values is None else values
+    values = bench.free_values(model) if values is None else values
     free = [n.path for n in values]
     for effect in model.effects:
-        seen = read_off(effect.kind, bench.measured) if effect.kind in added else {}
+        seen = bench.read_off(effect.kind) if effect.kind in added else {}
         coordinates = Coordinate.of(effect, model) if effect.kind in added else ()
         free += [f"{effect.kind}.{c.name}" for c in coordinates if c.name not in seen]
     prior = np.array([n.prior for n in values] + [PARAMETER_PRIOR] * (len(free) - len(values)))
     steps = free_steps(model, values, free)
     rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    slopes = derivatives(bench, lambda by: moved(model, values, free, by), steps, rows)
+    # What the measurement or the model believed does not show in every part is known of neither.
+    known = np.isfinite(np.concatenate([bench.measured.values[None], rows, check])).all(axis=(0, 1))
+    rows, check = np.where(known, rows, 0.0), np.where(known, check, 0.0)
+    least = np.where(known, bench.least_spread(), np.inf)
     blank = np.zeros(rows.shape[1:])
-    least = spread_floor(bench.names)
-    bare = State(model, blank, blank, slopes, prior, blank, check, tuple(free), least, tuple(values))
-    base = _with_noise_of(bare, rows)
+    bare = State(model, blank, blank, blank[..., None], prior, blank, check, tuple(free), least, tuple(values))
+    simulated = Library(bench, bare, rows, {}).simulated
+    slopes = derivatives(simulated, lambda by: model_at(model, values, free, by), steps, rows)
+    base = _with_noise_of(replace(bare, slopes=slopes), rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
-    return Library(bench, base, rows, _rays(bench, model, rows, kinds))
+    library = Library(bench, base, rows, {})
+    return replace(library, rays=_rays(library, kinds))
 
 
-def _rays(bench: Bench, model: Model, rows: Array, kinds: Sequence[str]) -> dict[str, list[Ray]]:
+def _rays(library: Library, kinds: Sequence[str]) -> dict[str, list[Ray]]:
+    bench, model, rows = library.bench, library.base.model, library.rows
     jobs: list[tuple[Effect, int]] = []
     for kind in kinds:
         settings = ray_settings(catalogue()[kind], model, np.random.default_rng([bench.seed, *kind.encode()]))
-        seen = read_off(kind, bench.measured)
+        seen = bench.read_off(kind)
         jobs += [(changed(setting, seen), i % 8) for i, setting in enumerate(settings)]
-    found = bench.rows([(model.with_effects(effect), number) for effect, number in jobs])
+    found = library.simulated([(library.beside(library.base, effect), number) for effect, number in jobs])
     rays: dict[str, list[Ray]] = {kind: [] for kind in kinds}
     for (effect, number), row in zip(jobs, found, strict=True):
         rays[effect.kind].append(Ray(effect, row - rows[number]))

@@ -71,7 +71,7 @@ def whitener(correlation: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Profile:
+class Adjusted:
     """A measurement seen from a model after its free values moved: chi², the moves, the whitened residual."""
 
     chi2: float
@@ -86,9 +86,9 @@ def at_the_end(moves: Array, room: Array, towards: Array) -> NDArray[np.bool_]:
     return result
 
 
-def profile(
+def adjust(
     x: Array, mean: Array, spread: Array, jacobian: Array, prior: Array, room: Array, whiten: Array, steps: int = 6,
-) -> Profile:  # fmt: skip
+) -> Adjusted:  # fmt: skip
     """Move the free values (jacobian: observable × value, in units of x) to bring x and mean together.
 
     `prior` is the width of each value's prior around 0; its penalty counts in chi². `room` (2, value): how far each
@@ -123,4 +123,4 @@ def profile(
             break
         if gain < 0.01:
             break
-    return Profile(best, moves, white, soften(r))
+    return Adjusted(best, moves, white, soften(r))

@@ -1,47 +1,33 @@
-"""How a model's free values are brought near a measurement: by moments, and downhill, every step simulated."""
+"""How the free values of a model with effects are brought nearer to a measurement, every step simulated."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.bench import Bench, as_table
+from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.state import State
 from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
-MATCHING_SEED = 10_000
-MATCHING_ROUNDS = 4
 TRIALS = 4  # simulations that tell which of two models is nearer
 DESCENTS, SHARES = 4, (1.0, 0.5, 0.25)  # steps downhill, and how much of each is tried
 NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
 
 
-def matched(bench: Bench, model: Model) -> Model:
-    """The model with its molecules as far apart as the spots tell, its nuisance values brought near the measurement by
-    moments."""
-    measured, spots = as_table(bench.names, bench.measured.part("all")), bench.measured.spots
-    height, width = model.acquisition.shape_px
-    model = nuisance.spaced(model, spots.positions_px, height * width)
-    model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
-    for turn in range(MATCHING_ROUNDS):
-        rows = bench.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
-        model = nuisance.match(model, measured, as_table(bench.names, rows[:, 0].mean(axis=0)))
-    return model
-
-
-def rematched(library: Library, state: State, model: Model, x: Array) -> Model:
+def nearer(library: Library, state: State, model: Model, x: Array) -> Model:
     """The model, or the same with its nuisance values matched again: whichever a few simulations put nearer to the
     measurement x. Hidden effects can lead the first match astray: a pattern of the sensor passes for dim molecules.
 
     Either keeps within reach of the first match. Where much is wrong, matching has no end of its own: spots that equal
     molecules cannot make are looked for in ever more of them, until they merge."""
-    found = [nuisance.kept(m, state.values) for m in (model, matched(library.bench, model))]
+    found = [nuisance.kept(m, state.values) for m in (model, library.bench.matched(model))]
     return min(found, key=lambda candidate: _seen(library, state, candidate).misfit(x))
 
 
@@ -53,10 +39,10 @@ def descended(library: Library, state: State, model: Model, x: Array) -> Model:
     here = _seen(library, state, model)
     for _ in range(DESCENTS):
         steps = free_steps(here.model, here.values, here.free)
-        slopes = derivatives(library.bench, here.moved, steps, here.check)
-        moves = replace(here, slopes=slopes).profiled(x).moves
+        slopes = derivatives(library.simulated, here.model_at, steps, here.check)
+        moves = replace(here, slopes=slopes).adjusted(x).moves
         for share in SHARES:
-            there = _seen(library, here, here.moved(share * moves))
+            there = _seen(library, here, here.model_at(share * moves))
             nearer = _unmoved(there, x) < NEARER * _unmoved(here, x)
             if nearer:
                 break
@@ -68,7 +54,7 @@ def descended(library: Library, state: State, model: Model, x: Array) -> Model:
 
 def _seen(library: Library, state: State, model: Model) -> State:
     """The state with the model in its place, its mean by a few simulations."""
-    rows = library.bench.rows([(model, k) for k in range(TRIALS)])
+    rows = library.simulated([(model, k) for k in range(TRIALS)])
     shift = (rows - library.rows[:TRIALS]).mean(axis=0)
     return replace(state, model=model, mean=library.base.mean + shift, check=rows)
 
@@ -78,14 +64,9 @@ def _unmoved(state: State, x: Array) -> float:
     return replace(state, slopes=np.zeros_like(state.slopes)).misfit(x)
 
 
-def matching_simulations() -> int:
-    """How many simulations `matched` makes."""
-    return 2 * MATCHING_ROUNDS
-
-
-def rematching_simulations() -> int:
-    """How many simulations `rematched` makes."""
-    return matching_simulations() + 2 * TRIALS
+def nearing_simulations(bench: Bench[Any]) -> int:
+    """How many simulations `nearer` makes."""
+    return bench.matching_simulations + 2 * TRIALS
 
 
 def descending_simulations(n_free: int) -> int:

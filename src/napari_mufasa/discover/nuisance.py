@@ -33,7 +33,7 @@ class Nuisance:
     origin: float = 0.0
     most: float = np.inf
 
-    def moved(self, model: Model, by: float) -> dict[str, Any]:
+    def changes(self, model: Model, by: float) -> dict[str, Any]:
         """The changed value, as `Model.with_values` takes it; within its room."""
         value, by = _get(model, self.path), float(np.clip(by, *self.room(model)))
         new = value * np.exp(by) if self.log else value + by
@@ -79,7 +79,7 @@ def apply(model: Model, values: Sequence[Nuisance], by: Iterable[float]) -> Mode
     """The model with nuisance coordinates moved by `by` (one per value), within their room."""
     changes: dict[str, Any] = {}
     for value, step in zip(values, by, strict=True):
-        changes |= value.moved(model, step)
+        changes |= value.changes(model, step)
     return model.with_values(changes)
 
 
@@ -117,7 +117,7 @@ def told(believed: Model, fitted: Model) -> str:
     return ", ".join(f"{path} {before} → {after}" for path, before, after in values if before != after)
 
 
-def match(model: Model, measured: Mapping[str, float], simulated: Mapping[str, float]) -> Model:
+def moment_step(model: Model, measured: Mapping[str, float], simulated: Mapping[str, float]) -> Model:
     """One round of matching by moments: brightness, width, density, baseline and background."""
     scale = photoelectrons_per_adu(model)
     factor = float(np.exp(np.clip(measured["level"] - simulated["level"], -1.5, 1.5)))

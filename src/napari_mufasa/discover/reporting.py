@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.bench import Bench
-from napari_mufasa.discover.curves import draw
-from napari_mufasa.discover.library import Library, View
-from napari_mufasa.discover.measurement import Measurement
-from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
+from napari_mufasa.discover.null import ALARM, MISFIT_ALARM
 from napari_mufasa.discover.result import ERROR_UNIT, Candidate, Report, Verdict
+from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.state import SCALES, State, scaled
 from napari_mufasa.model.model import Model
 
@@ -25,36 +22,7 @@ EXPLAINED = 0.6  # share of the removable error that an explanation must remove
 FAR = 1.35  # an error above so many floors is not explained, however far it fell
 STILL_OFF = 0.001  # chance level of what an explanation leaves: of its misfit, and of the observable farthest off
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
-
-
-class Standing(Protocol):
-    """What a report is made of: an `Investigation` as it stands."""
-
-    seed: int
-    believed: Model
-    measurement: Measurement
-    bench: Bench
-    views: list[View]
-    ranking: list[Candidate]
-
-    @property
-    def seconds(self) -> float: ...
-    @property
-    def x(self) -> NDArray[np.float64]: ...
-    @property
-    def first_view(self) -> View: ...
-    @property
-    def library(self) -> Library: ...
-    @property
-    def state(self) -> State: ...
-    @property
-    def model(self) -> Model: ...
-    @property
-    def chosen(self) -> list[str]: ...
-    @property
-    def null(self) -> Null: ...
-    def alarmed(self) -> bool: ...
-    def convincing(self, best: Candidate, /) -> bool: ...
+NOT_HERE = "not measurable here"  # where an observable is that the measurement or some simulation does not show
 
 
 def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
@@ -69,9 +37,8 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
     numbers = range(CURVE_SEED, CURVE_SEED + CURVE_SIMULATIONS)
     before = inquiry.bench.observations([(base.model, k) for k in numbers])
     after = inquiry.bench.observations([(model, k) for k in numbers]) if inquiry.chosen else before
-    interval = inquiry.believed.acquisition.interval_s
-    verdict = verdict or judge(inquiry, errors, floor)
-    completed = _restored(model, inquiry.believed)
+    verdict = verdict or verdict_of(inquiry, errors, floor)
+    completed = inquiry.bench.restored(model, inquiry.believed)
     return Report(
         verdict=verdict,
         error={"before": errors[0], "after": errors[-1], "floor": floor, "unit": ERROR_UNIT},
@@ -80,14 +47,15 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         chosen=inquiry.chosen,
         history=history,
         model=completed,
-        base=_restored(base.model, inquiry.believed),
+        base=inquiry.bench.restored(base.model, inquiry.believed),
         observables=table,
-        curves=draw(inquiry.bench.measured, before, after, interval),
+        curves=inquiry.bench.curves(before, after),
         seconds=inquiry.seconds,
         seed=inquiry.seed,
         evidence_needed=inquiry.null.evidence.at(ALARM),
         detectable=detectable(inquiry) if verdict == "adequate" else {},
-        notes=[*inquiry.measurement.notes, *_notes(inquiry, verdict, table, completed)],
+        w1=inquiry.bench.w1(before, after),
+        notes=[*inquiry.bench.notes, *_notes(inquiry, verdict, table, completed)],
     )
 
 
@@ -97,7 +65,7 @@ def _as_it_stands(candidate: Candidate, model: Model) -> Candidate:
     return candidate if effect is None else replace(candidate, parameters=effect.parameters())
 
 
-def judge(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
+def verdict_of(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
     """adequate, missing_effect or unexplained (DISCOVERY.md, decision rules)."""
     if not inquiry.chosen:
         if not inquiry.alarmed():
@@ -117,7 +85,7 @@ def judge(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
 
 def _one_is_off(state: State, x: NDArray[np.float64]) -> bool:
     """Is one observable so far off that chance would leave none of them there?"""
-    off = np.abs(state.profiled(x).soft)
+    off = np.abs(state.adjusted(x).soft[state.measurable])
     return bool(off.max() > stats.norm.isf(STILL_OFF / (2 * off.size)))
 
 
@@ -148,16 +116,18 @@ def _table(inquiry: Standing, final: State) -> pd.DataFrame:
     rows = []
     means, scores = [], []
     for state in (base, final):
-        moves = state.profiled(inquiry.x).moves
+        moves = state.adjusted(inquiry.x).moves
         mean = state.mean[0] + state.slopes[0] @ moves
-        means.append(mean)
-        scores.append((inquiry.x[0] - mean) / state.spread[0])
+        means.append(np.where(state.measurable, mean, np.nan))
+        scores.append(np.where(state.measurable, (inquiry.x[0] - mean) / state.spread[0], np.nan))
     for i, name in enumerate(measured.names):
-        meaning = measured.meanings[name]
+        meaning, known = measured.meanings[name], base.measurable[i] and final.measurable[i]
         rows.append(
             {
-                "observable": name, "title": meaning.title, "unit": meaning.unit, "where": meaning.where,
-                "measured": inquiry.x[0, i], "sd": base.spread[0, i], "before": means[0][i], "after": means[1][i],
+                "observable": name, "title": meaning.title, "unit": meaning.unit,
+                "where": meaning.where if known else NOT_HERE,
+                "measured": measured.values[0, i], "sd": base.spread[0, i] if known else np.nan,
+                "before": means[0][i], "after": means[1][i],
                 "z_before": scores[0][i], "z_after": scores[1][i],
             }
         )  # fmt: skip
@@ -175,21 +145,16 @@ def _failing(table: pd.DataFrame) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _restored(model: Model, believed: Model) -> Model:
-    """The model in the user's own form: the measurement's crop undone, density per area kept."""
-    area = np.prod(believed.acquisition.shape_px) / np.prod(model.acquisition.shape_px)
-    sample = believed.sample.model_copy(update={"n_molecules": max(1, round(model.sample.n_molecules * float(area)))})
-    timing = believed.acquisition
-    whole = model.in_shape(n_frames=timing.n_frames, shape_px=timing.shape_px, maps=believed.camera)
-    return whole.model_copy(update={"sample": sample})
-
-
 def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: Model) -> list[str]:
     notes = []
     if changes := nuisance.told(inquiry.believed, completed):
         notes.append(f"Values of the model fitted beside the effects: {changes}.")
-    if inquiry.measurement.dark is None:
-        notes.append("No dark frames were given: offset, read noise and clock-induced charge rest on the model.")
+    if len(unknown := table[table["where"] == NOT_HERE].title):
+        notes.append(f"Not measurable here, and left out of every error and decision: {'; '.join(unknown)}.")
+    if gaps := table[table.observable.isin(inquiry.bench.gaps)].title.tolist():
+        notes.append(
+            f"Not shown by every simulation with an effect, and no evidence for or against it there: {'; '.join(gaps)}."
+        )
     left = table[table.z_after.abs() > OFF]
     if inquiry.chosen and len(left):
         worst = left.sort_values("z_after", key=np.abs, ascending=False).title.head(4)

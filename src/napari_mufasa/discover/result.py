@@ -83,6 +83,7 @@ class Report:
     detectable : for each effect, the smallest strength this data would have shown with 80 % power (or None)
     notes : sentences about choices made (crop, subset, what stays off)
     seconds, seed : time by the clock; what chance was drawn from
+    w1 : of a table of traces, W1 per frame between it and simulations: before, after, floor, unit; empty for movies
     """
 
     verdict: Verdict
@@ -100,6 +101,7 @@ class Report:
     evidence_needed: float | None = None
     detectable: dict[str, float | None] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    w1: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """report.json of SPEC.md §10, with the additions a reader wants."""
@@ -116,6 +118,7 @@ class Report:
             "evidence_needed": self.evidence_needed,
             "detectable": self.detectable,
             "notes": self.notes,
+            **({"w1": self.w1} if self.w1 else {}),
         }
 
     def to_json(self, path: str) -> None:

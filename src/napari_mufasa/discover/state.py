@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.discover.coordinates import changed, moved, room
-from napari_mufasa.discover.metric import SOFT, Profile, at_the_end, profile, stretch
+from napari_mufasa.discover.coordinates import changed, model_at, room
+from napari_mufasa.discover.metric import SOFT, Adjusted, adjust, at_the_end, stretch
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
@@ -55,6 +55,9 @@ class State:
     nuisance values (`values`) first, then effect parameters · whiten (part, observable, observable) · check
     (simulation, part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error
     that the model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make
+
+    An observable that cannot be measured has an infinite (least) spread: whatever it is, it is no residual, and it is
+    left out of every score and error.
     """
 
     model: Model
@@ -69,13 +72,18 @@ class State:
     values: tuple[Nuisance, ...] = ()
     floor: float = 1.0
 
-    def moved(self, moves: Array) -> Model:
-        """The model with its free values moved."""
-        return moved(self.model, self.values, self.free, moves)
+    @property
+    def measurable(self) -> NDArray[np.bool_]:
+        """(observable,) which of them take part in scores and errors."""
+        return np.isfinite(self.least_spread)
 
-    def profiled(self, x: Array, part: int = 0) -> Profile:
+    def model_at(self, moves: Array) -> Model:
+        """The model with its free values moved."""
+        return model_at(self.model, self.values, self.free, moves)
+
+    def adjusted(self, x: Array, part: int = 0) -> Adjusted:
         """The measurement x (part, observable) against this model, free values moved."""
-        return profile(
+        return adjust(
             x[part], self.mean[part], self.spread[part], self.slopes[part], self.prior, self.room, self.whiten[part]
         )
 
@@ -88,12 +96,12 @@ class State:
         """rms whitened residual of each half of the field, free values fitted on the other half."""
         white, black = PARTS.index("white"), PARTS.index("black")
         squares = [self._held_out(x, fit, held) for fit, held in ((white, black), (black, white))]
-        return float(np.sqrt(np.mean(squares)))
+        return float(np.sqrt(np.mean([square[self.measurable] for square in squares])))
 
     def _held_out(self, x: Array, fit: int, held: int) -> Array:
         """Squares of the whitened residuals of one half, free values fitted on the other."""
-        moves = self.profiled(x, fit).moves
-        still = profile(
+        moves = self.adjusted(x, fit).moves
+        still = adjust(
             x[held], self.mean[held] + self.slopes[held] @ moves, self.spread[held],
             np.zeros((x.shape[1], 0)), np.zeros(0), np.zeros((2, 0)), self.whiten[held], steps=0,
         )  # fmt: skip
@@ -107,16 +115,17 @@ class State:
         return self.held_out_error(x) > FAR_OFF * self.floor
 
     def misfit(self, x: Array) -> float:
-        return self.profiled(x).chi2
+        return self.adjusted(x).chi2
 
     def score(self, x: Array) -> float:
         """−2 log likelihood, up to a constant all models share."""
-        return self.misfit(x) + 2 * float(np.log(self.spread[0]).sum() - np.linalg.slogdet(self.whiten[0])[1])
+        spread = self.spread[0][self.measurable]
+        return self.misfit(x) + 2 * float(np.log(spread).sum() - np.linalg.slogdet(self.whiten[0])[1])
 
     def screen(self, x: Array, rays: dict[str, list[Ray]]) -> dict[str, list[Lead]]:
         """Per effect: the largest fall of chi² along any ray of each of its forms, best form first."""
         w = self.whiten[0]
-        start = self.profiled(x)
+        start = self.adjusted(x)
         spread = self.spread[0]
         # Locally linear: directions of free values are projected out of residual and rays alike.
         local = 1 / np.sqrt(1 + np.sinh(np.clip(start.soft / SOFT, -20, 20)) ** 2)

@@ -48,6 +48,11 @@ class Observation:
         seen = summary.well_seen(self.spots, self.states)
         return self.spots.light[seen], self.states.of(seen)
 
+    def together(self) -> NDArray[np.float64]:
+        """(frame,) the light of all molecules inside the field."""
+        total: NDArray[np.float64] = self.spots.light[self.spots.inside].sum(axis=0)
+        return total
+
 
 PART_LABELS = ((1, 2), (1,), (2,))
 

@@ -34,9 +34,14 @@ class Part:
     molecules: NDArray[np.bool_]
 
 
+def telling(states: Dynamics) -> NDArray[np.bool_]:
+    """(trace,) the traces that are on at a level beyond doubt."""
+    return np.asarray((states.first >= 0) & (states.snr > LEAST_SNR))
+
+
 def well_seen(spots: Spots, states: Dynamics) -> NDArray[np.bool_]:
-    """(molecule,) the molecules whose traces count: alone, inside the field, and on at a level beyond doubt."""
-    return np.asarray(spots.inside & spots.isolated & (states.first >= 0) & (states.snr > LEAST_SNR))
+    """(molecule,) the molecules whose traces count: alone, inside the field, and telling."""
+    return np.asarray(spots.inside & spots.isolated & telling(states))
 
 
 def fluctuation(light: Array, states: Dynamics) -> tuple[Array, NDArray[np.bool_]]:
@@ -51,8 +56,9 @@ def molecules(table: Table, spots: Spots, states: Dynamics, part: Part, shape_px
     table.count("spots", float((part.molecules & spots.inside).sum()), "number of spots", "whole movie")
     keep = part.molecules & well_seen(spots, states)
     light, states = spots.light[keep], states.of(keep)
-    _levels(table, states, spots.positions_px[keep], shape_px)
-    _kinetics(table, light, states)
+    trace_levels(table, states)
+    _level_positions(table, states, spots.positions_px[keep], shape_px)
+    trace_kinetics(table, light, states)
     _shape_and_motion(table, spots, keep)
 
 
@@ -82,7 +88,8 @@ def _quantile(values: Array, q: float, default: float = 0.0) -> float:
     return float(np.partition(values, rank)[rank])
 
 
-def _levels(table: Table, states: Dynamics, positions: Array, shape_px: tuple[int, int]) -> None:
+def trace_levels(table: Table, states: Dynamics) -> None:
+    """How bright molecules are while on, and how unlike each other."""
     logs = np.log(states.on_level)
     where = "level of each spot while on"
     middle = _trimmed_mean(logs)
@@ -90,6 +97,12 @@ def _levels(table: Table, states: Dynamics, positions: Array, shape_px: tuple[in
     table.add("level_spread", _quantile(logs, 0.84) - _quantile(logs, 0.16), "spread of brightness", "ln", where)
     table.add("level_quantile_low", middle - _quantile(logs, 0.1), "dim spots against the middle", "ln", where)
     table.add("level_quantile_high", _quantile(logs, 0.95) - middle, "bright spots against the middle", "ln", where)
+
+
+def _level_positions(table: Table, states: Dynamics, positions: Array, shape_px: tuple[int, int]) -> None:
+    """How bright molecules are where."""
+    logs = np.log(states.on_level)
+    middle = _trimmed_mean(logs)
     half = max(shape_px) / 2
     v = (positions[:, 0] - (shape_px[0] - 1) / 2) / half
     u = (positions[:, 1] - (shape_px[1] - 1) / 2) / half
@@ -109,7 +122,8 @@ def _slopes(values: Array, v: Array, u: Array) -> tuple[float, float, float]:
     return float(r2), float(y), float(x)
 
 
-def _kinetics(table: Table, light: Array, states: Dynamics) -> None:
+def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
+    """What traces do in time: counts while on, memory, first and last light, gaps, trend and steps of the level."""
     n, frames = light.shape
     on, t = states.lit, np.arange(frames)
     deviation, span = fluctuation(light, states)
@@ -159,7 +173,7 @@ def _kinetics(table: Table, light: Array, states: Dynamics) -> None:
         )
     gaps = _gap_lengths(on)
     for low, high, name in ((1, 5, "short"), (6, 19, "middle"), (20, 10**9, "long")):
-        found = sum(int(low <= g <= high) for g in gaps)
+        found = int(((gaps >= low) & (gaps <= high)).sum())
         table.add(f"gap_{name}", np.sqrt((found + 0.1) / max(n, 1)), f"{name} gaps per molecule", "√", "gaps in traces")
 
     thirds = np.array_split(t, 3)
@@ -228,19 +242,13 @@ def _on_mean(light: Array, on: NDArray[np.bool_], frames: NDArray[np.int64]) -> 
     return np.where(count >= max(5, len(frames) // 10), total / np.maximum(count, 1), np.nan)
 
 
-def _gap_lengths(on: NDArray[np.bool_]) -> list[int]:
-    """Lengths of dark stretches between two bright ones."""
-    gaps: list[int] = []
-    for row in on:
-        edges = np.flatnonzero(np.diff(row.astype(np.int8)))
-        if len(edges) < 2:
-            continue
-        falls = edges[~row[edges + 1]]
-        rises = edges[row[edges + 1]]
-        for fall in falls:
-            later = rises[rises > fall]
-            if len(later):
-                gaps.append(int(later[0] - fall))
+def _gap_lengths(on: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Lengths (gap,) of dark stretches between two bright ones."""
+    change = np.diff(on.astype(np.int8), axis=1)
+    row, at = np.nonzero(change)
+    falls = change[row, at] < 0
+    ended = np.flatnonzero(falls[:-1] & (row[1:] == row[:-1]))  # falls and rises take turns
+    gaps: NDArray[np.int64] = at[ended + 1] - at[ended]
     return gaps
 
 

@@ -1,0 +1,105 @@
+"""The bench for movies: simulated movies, found and followed like the measured one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+
+from napari_mufasa.discover import curves, nuisance
+from napari_mufasa.discover.bench import Bench, as_table
+from napari_mufasa.discover.measurement import Measurement
+from napari_mufasa.discover.nuisance import Nuisance
+from napari_mufasa.discover.read_off import read_off
+from napari_mufasa.discover.result import Curve
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.model.model import Model
+from napari_mufasa.observe import DarkView, Observation, observe, view_dark
+from napari_mufasa.simulate.movie import simulate, simulate_dark
+
+CAMERA_STAGE = "camera"
+MATCHING_SEED = 10_000
+MATCHING_ROUNDS = 4
+FEWEST_MOLECULES = 3
+
+
+class MovieBench(Bench[Observation]):
+    """Simulates and observes movies, with dark frames where the measurement has some."""
+
+    matching_simulations = 2 * MATCHING_ROUNDS
+
+    def __init__(
+        self,
+        measurement: Measurement,
+        seed: int,
+        progress: Callable[[int, int], None] | None = None,
+        cancel: Callable[[], bool] | None = None,
+    ) -> None:
+        self.measurement = measurement
+        self._dark: dict[Hashable, DarkView] = {}
+        self._eyes = measurement.model  # the same eyes for all: units and PSF width believed
+        measured = observe(measurement.movie, self._eyes, measurement.dark)
+        if measured.spots.inside.sum() < FEWEST_MOLECULES:
+            raise MufasaError(
+                "fewer than three molecules were found in the movie: check psf_fwhm_nm, pixel_size_nm and baseline_adu "
+                "in the model, or take a brighter region"
+            )
+        notes = list(measurement.notes)
+        if measurement.dark is None:
+            notes.append("No dark frames were given: offset, read noise and clock-induced charge rest on the model.")
+        super().__init__(measurement.model, measured, seed, notes, progress, cancel)
+
+    def simulated(self, model: Model, seed: int) -> Observation:
+        movie = simulate(model, seed=seed).movie
+        dark = None if self.measurement.dark is None else self._dark_view(model, seed)
+        return observe(movie, self._eyes, dark)
+
+    def _dark_view(self, model: Model, seed: int) -> DarkView:
+        """Dark frames depend on the camera and its effects only: made once for each."""
+        assert self.measurement.dark is not None
+        camera_effects = tuple(e for e in model.effects if e.stage == CAMERA_STAGE)
+        model = model.model_copy(update={"effects": camera_effects})
+        key = (_everything_in(model.camera), tuple(e.model_dump_json() for e in camera_effects), seed)
+        if key not in self._dark:
+            self._dark[key] = view_dark(simulate_dark(model, len(self.measurement.dark), seed), self._eyes)
+        return self._dark[key]
+
+    def free_values(self, model: Model) -> list[Nuisance]:
+        return nuisance.nuisances(model)
+
+    def matched(self, model: Model) -> Model:
+        """Molecules as far apart as the spots tell; brightness, width, density, baseline and background by moments."""
+        measured, spots = as_table(self.names, self.measured.part("all")), self.measured.spots
+        height, width = model.acquisition.shape_px
+        model = nuisance.spaced(model, spots.positions_px, height * width)
+        model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
+        for turn in range(MATCHING_ROUNDS):
+            rows = self.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
+            model = nuisance.moment_step(model, measured, as_table(self.names, rows[:, 0].mean(axis=0)))
+        return model
+
+    def read_off(self, kind: str) -> dict[str, Any]:
+        return read_off(kind, self.measured)
+
+    def curves(self, before: Sequence[Observation], after: Sequence[Observation]) -> list[Curve]:
+        return curves.draw(self.measured, before, after, self.start.acquisition.interval_s)
+
+    def w1(self, before: Sequence[Observation], after: Sequence[Observation]) -> dict[str, Any]:
+        return {}
+
+    def restored(self, model: Model, believed: Model) -> Model:
+        """The measurement's crop undone, density per area kept."""
+        area = np.prod(believed.acquisition.shape_px) / np.prod(model.acquisition.shape_px)
+        molecules = max(1, round(model.sample.n_molecules * float(area)))
+        sample = believed.sample.model_copy(update={"n_molecules": molecules})
+        timing = believed.acquisition
+        whole = model.in_shape(n_frames=timing.n_frames, shape_px=timing.shape_px, maps=believed.camera)
+        return whole.model_copy(update={"sample": sample})
+
+
+def _everything_in(part: Any) -> tuple[Hashable, ...]:
+    """All values of a part of a model, to the last pixel of its maps."""
+    values = (value for _, value in part)
+    return tuple((v.shape, blake2b(v.tobytes()).digest()) if isinstance(v, np.ndarray) else v for v in values)

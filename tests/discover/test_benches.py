@@ -1,0 +1,136 @@
+"""What a bench shows of measurements and models: dark frames by their camera, and what cannot be measured."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import napari_mufasa as nm
+from napari_mufasa.discover.bench import Bench
+from napari_mufasa.discover.investigation import Investigation
+from napari_mufasa.discover.library import BASE_SIMULATIONS, CHECK_SEED, build
+from napari_mufasa.discover.measurement import prepare
+from napari_mufasa.discover.movie_bench import MovieBench
+from napari_mufasa.discover.reporting import NOT_HERE
+from napari_mufasa.effects import effect_class
+from napari_mufasa.observe.table import Meaning, Table
+
+P = 12
+NAMES = tuple(f"o{i}" for i in range(P))
+
+
+def test_dark_frames_of_cameras_that_differ_in_a_few_pixels_are_not_taken_for_each_other():
+    """Arrays of more than a thousand values are printed without most of them: a name that is made of print is none."""
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 30, "acquisition.shape_px": (48, 48), "sample.n_molecules": 20}
+    )
+    raised = np.zeros((48, 48))
+    raised[10:38, 10:38] = 40.0
+    plain, patch = (model.with_values({"camera.offset_map_adu": offset}) for offset in (np.zeros((48, 48)), raised))
+    assert repr(plain.camera) == repr(patch.camera)
+    bench = MovieBench(prepare(nm.simulate(plain, seed=1).movie, plain, nm.simulate_dark(plain, 20, 2)), 1)
+    means = [bench._dark_view(m, 5).tables[0].values["dark_mean"] for m in (plain, patch, plain)]
+    assert means[1] - means[0] == pytest.approx(40.0 * (28 / 48) ** 2, rel=0.1) and means[2] == means[0]
+    assert len(bench._dark) == 2  # made once for each
+
+
+class GapBench(Bench):
+    """Noise, of which some numbers are not to be had: "o3" not in the measurement, "o5" not in every simulation of the
+    base model, "o7" not where there are hot pixels."""
+
+    matching_simulations = 0
+
+    def __init__(self, gaps=True):
+        self.with_gaps = gaps
+        shown = self.made(nm.preset("FF"), 999)
+        if gaps:
+            shown[1, 3] = np.nan
+        measured = SimpleNamespace(values=shown, names=NAMES, meanings=dict.fromkeys(NAMES, Meaning("t", "", "w")))
+        super().__init__(nm.preset("FF"), measured, 1)
+
+    def made(self, model, number):
+        row = np.random.default_rng([4, number]).standard_normal((3, P))
+        row[:, :2] += sum(100 * effect.fraction for effect in model.effects)
+        if self.with_gaps:
+            row[0, 5] = np.nan if number == 7 else row[0, 5]
+            row[2, 7] = np.nan if model.effects and number % 2 else row[2, 7]
+        return row
+
+    def rows(self, jobs):
+        return np.array([self.made(model, number) for model, number in jobs])
+
+    def free_values(self, model):
+        return []
+
+    def read_off(self, kind):
+        return {}
+
+    simulated = matched = curves = w1 = restored = None
+
+
+@pytest.fixture(scope="module")
+def with_gaps():
+    return build(GapBench(), nm.preset("FF"), ["hot_pixels"])
+
+
+def test_what_cannot_be_measured_takes_no_part(with_gaps):
+    state, x = with_gaps.base, with_gaps.bench.x
+    np.testing.assert_array_equal(np.flatnonzero(~state.measurable), [3, 5])
+    wild = x.copy()
+    wild[:, [3, 5]] = 1e6
+    assert state.score(wild) == state.score(x) and np.isfinite(state.score(x))
+    assert state.held_out_error(wild) == state.held_out_error(x)
+    assert (
+        state.screen(wild, with_gaps.rays)["hot_pixels"][0].gain
+        == state.screen(x, with_gaps.rays)["hot_pixels"][0].gain
+    )
+    evidence, misfit = with_gaps.null_distribution()
+    assert np.isfinite(evidence).all() and np.isfinite(misfit).all()
+
+
+def test_the_error_is_that_of_the_others(with_gaps):
+    """The root of a mean over those that can be measured: of noise 1, not √(10/12)."""
+    errors = [with_gaps.base.held_out_error(row) for row in np.random.default_rng(8).standard_normal((400, 3, P))]
+    # 20 numbers each: mean square 1 ± √(2/20); of 400 of them ± 1.6 %; the spread of 72 simulations is known to 1/√144.
+    assert np.mean(np.square(errors)) == pytest.approx(1.0, abs=0.2)
+    whole = build(GapBench(gaps=False), nm.preset("FF"), ["hot_pixels"])
+    assert whole.base.measurable.all()
+
+
+def test_what_a_simulation_with_an_effect_does_not_show_is_no_evidence(with_gaps):
+    strong = nm.preset("FF").with_effects(effect_class("hot_pixels")(fraction=0.02))
+    rows = with_gaps.simulated([(strong, 4), (strong, 3), (strong, CHECK_SEED + 1)])
+    assert np.isfinite(rows).all() and with_gaps.bench.gaps == {"o7"}
+    assert rows[1, 2, 7] == with_gaps.rows[3, 2, 7] and rows[2, 2, 7] == with_gaps.base.check[1, 2, 7]
+    np.testing.assert_allclose(rows[1, :, :2] - with_gaps.rows[3, :, :2], 2.0)  # what it shows counts
+    assert len(with_gaps.rows) == BASE_SIMULATIONS
+
+
+def test_a_number_that_is_none_is_kept_as_such():
+    table = Table()
+    table.add("one", 1 / 3, "", "", "")
+    for name, value in (("two", np.inf), ("three", np.nan)):
+        table.add(name, value, "", "", "")
+        table.log(name + "_log", value, "", "")
+    table.count("count", np.nan, "", "")
+    assert table.values["one"] == 1 / 3
+    assert all(np.isnan(value) for name, value in table.values.items() if name != "one")
+
+
+def test_a_report_tells_what_could_not_be_measured():
+    """A part of the field without spots has no photon transfer of spots."""
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 40, "acquisition.shape_px": (48, 48), "sample.n_molecules": 12}
+    )
+    inquiry = Investigation(nm.simulate(model, seed=5).movie, model, seed=2, effects=["row_noise"])
+    at = inquiry.bench.names.index("photon_transfer_top")
+    lacking = inquiry.bench.measured.values.copy()
+    lacking[1, at] = np.nan
+    inquiry.bench.measured = replace(inquiry.bench.measured, values=lacking)
+    report = inquiry.report()
+    row = report.observables.iloc[at]
+    assert row["where"] == NOT_HERE and np.isnan(row["z_before"]) and np.isnan(row["z_after"])
+    assert any(row["title"] in note and "Not measurable here" in note for note in report.notes)
+    assert np.isfinite(report.error["before"]) and np.isfinite(report.error["floor"])
+    assert all(np.isfinite(f["z"]) for f in report.failing)
