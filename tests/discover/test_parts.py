@@ -223,7 +223,7 @@ def test_every_form_has_a_strong_setting_and_choices_are_not_tied():
         for form in effect.forms():
             values = [getattr(s, effect.strength) for s in settings if s.form_name == form]
             shares = [(scale(v) - scale(low)) / (scale(high) - scale(low)) for v in values]
-            strong = max(abs(u - 0.5) * 2 for u in shares) if two_sided(effect) else max(shares)
+            strong = max(abs(u - 0.5) * 2 for u in shares) if two_sided(effect, effect.null_value) else max(shares)
             assert strong > 0.4, (kind, form)
     blinking = ray_settings(effect_class("triplet_blinking"), nm.preset("EGFP"), np.random.default_rng(1))
     assert len({(s.form, s.start) for s in blinking}) == 4
@@ -235,7 +235,9 @@ def test_an_effect_of_two_directions_is_found_in_the_other_one():
     one[:, 5:9] = 8.0
     for kind, sign in (("laser_drift", -1), ("em_excess_noise", -1), ("laser_flicker", 0)):
         effect = effect_class(kind)()
-        (lead,) = state.screen(rng.standard_normal((3, 25)) - 0.7 * one, {kind: [Ray(effect, one)]})[kind]
+        (lead,) = state.screen(rng.standard_normal((3, 25)) - 0.7 * one, {kind: [Ray(effect, one, effect.null_value)]})[
+            kind
+        ]
         if sign:
             assert lead.scale == -0.7 and lead.gain > 60
             before, after = (getattr(e, effect.strength) - effect.null_value for e in (effect, lead.start()))
@@ -246,11 +248,11 @@ def test_an_effect_of_two_directions_is_found_in_the_other_one():
 
 def test_changed_effects_keep_their_limits():
     drift = effect_class("stage_drift")(distance_px=2.0)
-    assert scaled(drift, 0.25).distance_px == 0.5
+    assert scaled(drift, 0.25, 0.0).distance_px == 0.5
     assert changed(drift, {"distance_px": -1.0}).distance_px == 0.0
     assert changed(drift, {}, form="saturating").form == "saturating"
     excess = effect_class("em_excess_noise")(excess_noise_factor=1.4)
-    assert scaled(excess, 0.5).excess_noise_factor == pytest.approx(1.7)  # half the way from 2
+    assert scaled(excess, 0.5, 2.0).excess_noise_factor == pytest.approx(1.7)  # half the way from 2
 
 
 def test_nuisance_values_are_those_the_model_has():

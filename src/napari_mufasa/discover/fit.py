@@ -62,7 +62,7 @@ class Fit:
         plausible range."""
         name = self.effect.strength
         low, _, log = self.effect.plausible(self.state.model)[name]
-        strength = abs(float(getattr(self.effect, name)) - self.effect.null_value)
+        strength = abs(float(getattr(self.effect, name)) - self.effect.none_at(self.state.model))
         return strength > SURELY_SOME * self.sd.get(name, 0.0) / self.birge or (log and strength > low)
 
 
@@ -134,7 +134,8 @@ def _best_shape(library: Library, state: State, starts: Sequence[Effect], known:
     rows = library.simulated([(library.beside(state, trial), k) for k, trial in enumerate(trials)])
     shift = rows - library.rows[: len(trials)]
     reached = state.mean - library.base.mean  # by the effects that are in the model already
-    rays = [Ray(trial, change - reached) for trial, change in zip(trials, shift, strict=True)]
+    none = start.none_at(state.model)
+    rays = [Ray(trial, change - reached, none) for trial, change in zip(trials, shift, strict=True)]
     return state.screen(x, {start.kind: rays})[start.kind][0].start()
 
 
@@ -142,8 +143,10 @@ def _climbed(library: Library, state: State, start: Effect, x: Array) -> tuple[E
     """`start` at the best of a ladder of strengths, each simulated once, and the fall of chi² there; the ladder
     grows while its end is best."""
 
+    none = start.none_at(state.model)
+
     def misfits(factors: list[float]) -> dict[float, float]:
-        rows = library.simulated([(library.beside(state, scaled(start, f)), k) for k, f in enumerate(factors)])
+        rows = library.simulated([(library.beside(state, scaled(start, f, none)), k) for k, f in enumerate(factors)])
         shift = rows - library.rows[: len(factors)]
         return {f: replace(state, mean=library.base.mean + s).misfit(x) for f, s in zip(factors, shift, strict=True)}
 
@@ -154,7 +157,7 @@ def _climbed(library: Library, state: State, start: Effect, x: Array) -> tuple[E
             break
         found |= misfits([best * LADDER if best > 1 else best / LADDER])
     best = min(found, key=lambda f: found[f])
-    return scaled(start, best), state.misfit(x) - found[best]
+    return scaled(start, best, none), state.misfit(x) - found[best]
 
 
 def _linearised(

@@ -59,7 +59,7 @@ class Investigation(Standing):
     ) -> None:
         _check(model, seed)
         self.measurement = prepare(movie, model, dark)
-        kinds = _suitable(list(catalogue()) if effects is None else effects, model)
+        kinds = _suitable(_searched(model) if effects is None else effects, model)
         super().__init__(MovieBench(self.measurement, seed, progress, cancel), model, kinds)
 
     def approach(self) -> None:
@@ -72,7 +72,7 @@ class Investigation(Standing):
         self.bench.plan(
             self.bench.matching_simulations
             + nearing.descending_simulations(n_free)
-            + library.expected_simulations(kinds, n_free)
+            + library.expected_simulations(kinds, n_free, self.state.model)
         )
         model = nearing.nearer(self.library, self.state, self.model, self.x)
         model = nearing.descended(self.library, self.state, model, self.x)
@@ -227,6 +227,11 @@ class TraceInvestigation(Investigation):
 def _check(model: Model, seed: int) -> None:
     need(model, Model, "model", "give nm.preset(…) or nm.Model.from_json(…)")
     Streams(seed)  # raises on a bad seed
+
+
+def _searched(model: Model) -> list[str]:
+    """The effects that are considered where none are named."""
+    return [kind for kind, effect in catalogue().items() if effect.considered_in(model)]
 
 
 def _suitable(kinds: Sequence[str], model: Model) -> list[str]:

@@ -145,7 +145,7 @@ def _rays(library: Library, kinds: Sequence[str]) -> dict[str, list[Ray]]:
     found = library.simulated([(library.beside(library.base, effect), number) for effect, number in jobs])
     rays: dict[str, list[Ray]] = {kind: [] for kind in kinds}
     for (effect, number), row in zip(jobs, found, strict=True):
-        rays[effect.kind].append(Ray(effect, row - rows[number]))
+        rays[effect.kind].append(Ray(effect, row - rows[number], effect.none_at(model)))
     return rays
 
 
@@ -153,13 +153,13 @@ def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -
     """Settings that span an effect's plausible range: strengths spread evenly, the strongest first, and the less of the
     weak ones the fewer settings each form has, for weaker ones follow from a strong one; shapes at random, forms and
     other choices in turn."""
-    ranges, choices = effect.plausible(model), choice_fields(effect)
+    ranges, choices = searched_ranges(effect, model), choice_fields(effect)
     n = RAYS + len(ranges) - 1
     weakest = max(0.0, 1 - n / (2 * len(effect.forms())))
     found = []
     for i in range(n):
         share, turn = 1 - (1 - weakest) * (i + 0.5) / n, i
-        u = 0.5 + 0.5 * share * (-1) ** i if two_sided(effect) else share
+        u = 0.5 + 0.5 * share * (-1) ** i if two_sided(effect, effect.none_at(model)) else share
         values: dict[str, Any] = {}
         for name, (low, high, log) in ranges.items():
             place = u if name == effect.strength else rng.random()
@@ -171,13 +171,21 @@ def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -
     return found
 
 
+def searched_ranges(effect: type[Effect], model: Model) -> dict[str, tuple[float, float, bool]]:
+    """The plausible ranges of what matters to the forms that are searched."""
+    forms = set(effect.forms()) - set(effect.unsearched_forms)
+    return {name: span for name, span in effect.plausible(model).items() if not effect.only_for(name).isdisjoint(forms)}
+
+
 def choice_fields(effect: type[Effect]) -> dict[str, tuple[str, ...]]:
-    """Fields with named options: the form, and others like it."""
+    """Fields with named options: the form, and others like it, but for forms that are not searched."""
     fields = {name: field.annotation for name, field in effect.model_fields.items()}
-    return {name: get_args(options) for name, options in fields.items() if get_origin(options) is Literal}
+    choices = {name: get_args(options) for name, options in fields.items() if get_origin(options) is Literal}
+    unsearched = effect.unsearched_forms
+    return {name: tuple(option for option in options if option not in unsearched) for name, options in choices.items()}
 
 
-def expected_simulations(kinds: Sequence[str], n_free: int) -> int:
+def expected_simulations(kinds: Sequence[str], n_free: int, model: Model) -> int:
     """How many simulations `build` makes."""
-    rays = sum(RAYS + len(catalogue()[k].plausible()) - 1 for k in kinds)
+    rays = sum(RAYS + len(searched_ranges(catalogue()[k], model)) - 1 for k in kinds)
     return BASE_SIMULATIONS + CHECK_SIMULATIONS + SLOPE_SEEDS * n_free + rays

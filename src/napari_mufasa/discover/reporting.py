@@ -104,7 +104,7 @@ def detectable(inquiry: Standing) -> dict[str, float | None]:
                 step = np.pad(w @ (8.0 * np.arcsinh(ray.shift[0] * scale / spread / 8.0)), (0, len(state.prior)))
                 power = float(((step - q @ (q.T @ step)) ** 2).sum())
                 if power - 0.84 * 2 * np.sqrt(power) > threshold:
-                    strengths.append(abs(float(getattr(scaled(ray.effect, scale), ray.effect.strength))))
+                    strengths.append(abs(float(getattr(scaled(ray.effect, scale, ray.none), ray.effect.strength))))
                     break
         found[kind] = float(np.median(strengths)) if len(strengths) > len(rays) / 2 else None
     return found

@@ -46,7 +46,7 @@ class Standing:
     def examine(self) -> None:
         """Fit the nuisance values, simulate the neighbourhood of the model and of every effect."""
         bench = self.bench
-        expected = library.expected_simulations(self.kinds, len(bench.free_values(bench.start)))
+        expected = library.expected_simulations(self.kinds, len(bench.free_values(bench.start)), bench.start)
         bench.plan(bench.matching_simulations + expected + FINALISTS * fit.planned_simulations())
         near = library.build(bench, bench.matched(bench.start), self.kinds)
         self.views = [View(near, near.base)]

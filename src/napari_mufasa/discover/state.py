@@ -27,6 +27,7 @@ class Ray:
 
     effect: Effect
     shift: Array
+    none: float = 0.0  # strength at which there is none of it
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Lead:
 
     def start(self) -> Effect:
         """The ray's effect at the strength the lead stands at, within hard limits."""
-        return scaled(self.ray.effect, self.scale)
+        return scaled(self.ray.effect, self.scale, self.ray.none)
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,11 @@ class State:
         found: dict[str, list[Lead]] = {}
         for kind, candidates in rays.items():
             best: dict[str, Lead] = {}
-            scales = (*SCALES, *(-s for s in SCALES)) if candidates and two_sided(candidates[0].effect) else SCALES
+            scales = (
+                (*SCALES, *(-s for s in SCALES))
+                if candidates and two_sided(candidates[0].effect, candidates[0].none)
+                else SCALES
+            )
             for ray in candidates:
                 shifts = np.outer(scales, ray.shift[0] / spread)
                 taken = start.soft - SOFT * np.arcsinh((raw - shifts) / SOFT)
@@ -151,14 +156,12 @@ class State:
         return found
 
 
-def two_sided(effect: type[Effect] | Effect) -> bool:
-    """Whether the effect's strength may lie on either side of none."""
-    kind = effect if isinstance(effect, type) else type(effect)
-    low, high, _ = kind.plausible()[kind.strength]
-    return low < kind.null_value < high
+def two_sided(effect: type[Effect] | Effect, none: float) -> bool:
+    """Whether the effect's strength may lie on either side of `none`."""
+    low, high, _ = effect.plausible()[effect.strength]
+    return low < none < high
 
 
-def scaled(effect: Effect, scale: float) -> Effect:
-    """The effect with its strength moved to `scale` of the way from none."""
-    name, null = effect.strength, effect.null_value
-    return changed(effect, {name: null + (float(getattr(effect, name)) - null) * scale})
+def scaled(effect: Effect, scale: float, none: float) -> Effect:
+    """The effect with its strength moved to `scale` of the way from `none`."""
+    return changed(effect, {effect.strength: none + (float(getattr(effect, effect.strength)) - none) * scale})

@@ -135,9 +135,14 @@ class Effect(BaseModel):
 
     def matters(self, name: str) -> bool:
         """Whether a parameter changes anything in the effect's form."""
-        extra = type(self).model_fields[name].json_schema_extra
-        forms: Any = extra.get("forms") if isinstance(extra, dict) else None
-        return not forms or self.form_name in forms
+        return self.form_name in self.only_for(name)
+
+    @classmethod
+    def only_for(cls, name: str) -> set[str]:
+        """The forms that a parameter matters to."""
+        extra = cls.model_fields[name].json_schema_extra
+        named: Any = extra.get("forms") if isinstance(extra, dict) else None
+        return set(named or cls.forms())
 
     @property
     def form_name(self) -> str:

@@ -12,12 +12,12 @@ from napari_mufasa.widgets.turns.session import Session
 
 
 class Suspects(QWidget):
-    """Effects that suit the believed model; all are considered unless some are unticked."""
+    """Effects that suit the believed model; ticked at first are those that a diagnosis considers unasked."""
 
     def __init__(self, session: Session) -> None:
         super().__init__()
         self.session = session
-        self._unticked: set[str] = set()
+        self._said: dict[str, bool] = {}  # what the user ticked and unticked
         self.list = EffectTicks("Effects to consider", 140)
         self.list.ticked.connect(self._on_ticked)
         self.all_button = button(
@@ -38,19 +38,24 @@ class Suspects(QWidget):
         known = {effect.kind for effect in model.effects}
         shown = {k: e for k, e in catalogue().items() if e.suits(model) and k not in known}
         if list(self.list.rows) != list(shown):
-            self.list.fill(shown, set(shown) - self._unticked)
+            self.list.fill(shown, self._ticked(list(shown)))
 
     def chosen(self) -> tuple[str, ...] | None:
-        """The ticked effects; None when all are. Raises `MufasaError` when none is."""
-        kinds = list(self.list.rows)
-        ticked = tuple(kind for kind in kinds if kind not in self._unticked)
+        """The ticked effects; None when they are those considered unasked. Raises `MufasaError` when none is."""
+        kinds, model = list(self.list.rows), self.session.model
+        ticked = self._ticked(kinds)
         if not ticked:
             raise MufasaError("no effect is ticked as a suspect: open Suspects and tick some, or press All")
-        return None if len(ticked) == len(kinds) else ticked
+        unasked = {kind for kind in kinds if catalogue()[kind].considered_in(model)}
+        return None if ticked == unasked else tuple(kind for kind in kinds if kind in ticked)
+
+    def _ticked(self, kinds: list[str]) -> set[str]:
+        model = self.session.model
+        return {kind for kind in kinds if self._said.get(kind, catalogue()[kind].considered_in(model))}
 
     def _tick(self, ticked: bool) -> None:
         for item in self.list.rows.values():
             item.setCheckState(TICKED[ticked])
 
     def _on_ticked(self, kind: str, on: bool) -> None:
-        (self._unticked.discard if on else self._unticked.add)(kind)
+        self._said[kind] = on
