@@ -1,4 +1,6 @@
-"""model.json and the identifiers of effects as SPEC.md §9 and §10 print them: the one example that tests share."""
+"""model.json and the identifiers of effects as docs/effects.md and docs/model.md print them: the one example that
+tests share.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The model: JSON in and out, presets, and errors that name field, value, range and remedy (SPEC.md §8, §10)."""
+"""The model: JSON in and out, presets, and errors that name field, value, range and remedy (docs/model.md)."""
 
 import json
 

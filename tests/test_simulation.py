@@ -1,4 +1,4 @@
-"""The whole chain: seeds, blocks, streams, dark frames, every protocol with every camera (SPEC.md §2–4)."""
+"""The whole chain: seeds, blocks, streams, dark frames, every protocol with every camera (docs/words.md)."""
 
 import numpy as np
 import pytest

@@ -19,7 +19,7 @@ HEAD = """\
 <!-- Printed by tools/effects_page.py (make docs): change the words in napari_mufasa/effects/, not here. -->
 
 An effect is one physical mechanism. In a [model](model.md) it is data, `{{"kind": …}}` and parameters; on the command
-line `--effect KIND:NAME=VALUE,…`. [Discovery](discovery.md) searches these {number} for what a model lacks.
+line `--effect KIND:NAME=VALUE,…`. [Discovery](discovery.md) searches them for what a model lacks.
 
 {contents}
 

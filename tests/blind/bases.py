@@ -83,7 +83,7 @@ BASE_NAMES = ("emccd", "emccd_bleach", "emccd_short", "cmos", "ccd")
 
 
 def excitation_rate_per_s(model: Believed) -> float:
-    """k01 of SPEC section 2."""
+    """k01 of docs/photophysics.md."""
     return (
         model["fluorophore"]["extinction_coefficient_per_M_cm"]
         * model["excitation"]["power_density_w_per_cm2"]

@@ -11,7 +11,7 @@ import numpy as np
 from .laws import Rng
 from .world import CameraTruth
 
-# SPEC section 4, default CMOS curve: 0.9 e/e to 200, then 0.4 to 1000 (ends at 500), then 0.1.
+# docs/camera.md, default CMOS curve: 0.9 e/e to 200, then 0.4 to 1000 (ends at 500), then 0.1.
 _CMOS_IN_E = np.array([0.0, 200.0, 1000.0, 1e7])
 _CMOS_OUT_E = np.array([0.0, 180.0, 500.0, 500.0 + 0.1 * (1e7 - 1000.0)])
 
@@ -139,6 +139,6 @@ def record(
         adu += cam.offset_map_adu.astype(np.float32)
     if drift_adu is not None:
         adu += drift_adu[:, None, None].astype(np.float32)
-    # A true baseline need not be an integer; with one, this is the floor of SPEC section 4.
+    # A true baseline need not be an integer; with one, this is the floor of docs/camera.md.
     adu = np.floor(adu + np.float32(cam.baseline_adu))
     return np.clip(adu, 0, cam.adc_max).astype(np.uint16)

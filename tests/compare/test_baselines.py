@@ -1,4 +1,4 @@
-"""Poisson and SOFI baselines follow their own laws (SPEC.md §7, source note 4)."""
+"""Poisson and SOFI baselines follow their own laws (docs/comparison.md, source note 4)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from napari_mufasa.compare.distributions import dwell_frames
 
 
 def test_poisson_mean_is_the_check_value():
-    """67.2 photons per 10 ms frame for FF (SPEC.md §2)."""
+    """67.2 photons per 10 ms frame for FF (docs/photophysics.md)."""
     assert poisson_mean_photons(nm.preset("FF")) == pytest.approx(67.249, abs=0.001)
 
 

@@ -1,4 +1,4 @@
-"""Whole comparisons: a right model reaches the floor, a wrong one does not (SPEC.md §7)."""
+"""Whole comparisons: a right model reaches the floor, a wrong one does not (docs/comparison.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""W1 is exact, its floor and interval mean what they say (SPEC.md §7)."""
+"""W1 is exact, its floor and interval mean what they say (docs/comparison.md)."""
 
 from __future__ import annotations
 

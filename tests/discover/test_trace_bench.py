@@ -1,4 +1,6 @@
-"""A table of traces alone: what is hidden in it is found, on molecules that no fit has seen (SPEC.md §7, §9)."""
+"""A table of traces alone: what is hidden in it is found, on molecules that no fit has seen (docs/comparison.md,
+docs/discovery.md).
+"""
 
 from __future__ import annotations
 

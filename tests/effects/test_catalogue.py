@@ -1,4 +1,4 @@
-"""The contract of effects (SPEC.md §9, §10): identifiers, data, null strength, forms, third parties."""
+"""The contract of effects (docs/effects.md, docs/model.md): identifiers, data, null strength, forms, third parties."""
 
 import importlib.metadata
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""An effect of another installed package, end to end: the entry point, the command line, the fit (SPEC.md §9)."""
+"""An effect of another installed package, end to end: the entry point, the command line, the fit (docs/effects.md)."""
 
 from __future__ import annotations
 

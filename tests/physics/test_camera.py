@@ -1,4 +1,4 @@
-"""Camera: mean and variance laws, and its inverse (SPEC.md §4, §5.1).
+"""Camera: mean and variance laws, and its inverse (docs/camera.md).
 
 Laws are tested on a flat field of 160 000 pixel values. Tolerances are four standard errors (false alarm
 6e-5 each), the error of a variance taken from the fourth moment.

@@ -1,4 +1,4 @@
-"""The fast engine against the exact one, in distribution, on all four protocols (SPEC.md §2).
+"""The fast engine against the exact one, in distribution, on all four protocols (docs/photophysics.md).
 
 All comparisons are between simulations of different seeds. Kolmogorov-Smirnov tests on whole numbers are
 conservative, so the false-alarm rates stated are upper bounds. Seeds are fixed.
@@ -188,7 +188,7 @@ def test_fast_falls_back_to_exact_where_the_separation_fails():
 
 
 def test_exact_counts_are_sub_poissonian_as_a_renewal_process():
-    """Fano factor 1 − 2 k01 k10/(k01+k10)² (SPEC.md §2): alternating exponential waits."""
+    """Fano factor 1 − 2 k01 k10/(k01+k10)² (docs/photophysics.md): alternating exponential waits."""
     model = bright(2).with_values(
         {"fluorophore.cycles_before_bleaching": None, "acquisition.frame_length_s": 0.05, "acquisition.n_frames": 40}
     )

@@ -1,4 +1,4 @@
-"""Optics: where the photons land (SPEC.md §3)."""
+"""Optics: where the photons land (docs/optics.md)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Check values of SPEC.md §2, to all digits given there."""
+"""Check values of docs/photophysics.md, to all digits given there."""
 
 import numpy as np
 import pytest

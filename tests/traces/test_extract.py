@@ -1,4 +1,4 @@
-"""Extraction against movies whose molecules are known (SPEC.md §6)."""
+"""Extraction against movies whose molecules are known (docs/traces.md)."""
 
 from __future__ import annotations
 

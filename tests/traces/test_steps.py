@@ -1,4 +1,4 @@
-"""Change points: false alarms at the stated rate, steps where they are (SPEC.md §6)."""
+"""Change points: false alarms at the stated rate, steps where they are (docs/traces.md)."""
 
 from __future__ import annotations
 

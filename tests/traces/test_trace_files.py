@@ -1,4 +1,4 @@
-"""Traces in and out (SPEC.md §10)."""
+"""Traces in and out (docs/files.md)."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
     panel = open_panel(ModelPanel, viewer)
     session = session_of(viewer)
     panel.source.choose("FF")
-    assert "6725" in panel.derived.text()  # SPEC.md §2: k01 = 6 724.90 per second
+    assert "6725" in panel.derived.text()  # docs/photophysics.md: k01 = 6 724.90 per second
     panel.effects.kinds.value = "stage_drift"
     panel.effects.add_button.click()
     assert [effect.kind for effect in session.model.effects] == ["stage_drift"]

@@ -1,4 +1,4 @@
-"""Measured against simulated emission: W1, its floor, baselines, distributions (SPEC.md §7)."""
+"""Measured against simulated emission: W1, its floor, baselines, distributions (docs/comparison.md)."""
 
 from napari_mufasa.compare.comparison import Comparison, compare_movie, compare_traces, to_photoelectrons
 from napari_mufasa.compare.distributions import Distribution, distributions

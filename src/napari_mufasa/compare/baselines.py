@@ -1,4 +1,4 @@
-"""The two models a comparison is held against: Poisson and SOFI Simulation Tools (SPEC.md §7, source note 4, 10)."""
+"""The two models a comparison is held against: Poisson and SOFI Simulation Tools (docs/comparison.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One comparison: measured traces against a model and two baselines, with floor and intervals (SPEC.md §7)."""
+"""One comparison: measured traces against a model and two baselines, with floor and intervals (docs/comparison.md)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Comparison:
     notes: tuple[str, ...] = ()
 
     def report(self) -> dict[str, Any]:
-        """Plain data for report.json (SPEC.md §10)."""
+        """Plain data for report.json (docs/files.md)."""
         return {
             "w1": self.w1,
             "w1_traces": self.w1_traces,

@@ -1,4 +1,4 @@
-"""What a comparison shows beside one number: distributions of measured and simulated traces (SPEC.md §7)."""
+"""What a comparison shows beside one number: distributions of measured and simulated traces (docs/comparison.md)."""
 
 from __future__ import annotations
 

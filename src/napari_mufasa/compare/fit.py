@@ -41,7 +41,7 @@ def fit_model(
     *,
     rounds: int = ROUNDS,
 ) -> Fit:
-    """Fit brightness, background, bleaching rate and spread of brightness by moments (SPEC.md §7).
+    """Fit brightness, background, bleaching rate and spread of brightness by moments (docs/comparison.md).
 
     `simulate` gives the traces (molecule, frame) of a model through the same chain as the measurement.
     """

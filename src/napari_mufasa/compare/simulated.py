@@ -1,4 +1,6 @@
-"""Traces that a model would give in the same acquisition, through the same camera and extraction (SPEC.md §7)."""
+"""Traces that a model would give in the same acquisition, through the same camera and extraction
+(docs/comparison.md).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The 1-Wasserstein distance between measured and simulated emission, its floor and its interval (SPEC.md §7)."""
+"""The 1-Wasserstein distance between measured and simulated emission, its floor and its interval
+(docs/comparison.md).
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ def wasserstein(measured: Any, simulated: Any, rows: Rows = "frames") -> float:
     rows : "frames": every count of every molecule is a sample, |a − b| (any numbers of frames, too);
         "traces": every molecule's trace is a sample in R^T with Euclidean cost (equal numbers of frames)
 
-    Equal to ``ot.emd2`` with uniform weights (SPEC.md §7). Raises `MufasaError` for empty, non-finite or
+    Equal to ``ot.emd2`` with uniform weights (docs/comparison.md). Raises `MufasaError` for empty, non-finite or
     mismatched input.
     """
     a, b = _traces(measured, "measured"), _traces(simulated, "simulated")

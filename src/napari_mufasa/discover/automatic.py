@@ -22,7 +22,7 @@ def diagnose(
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Report:
-    """Find what a model lacks to explain a movie (SPEC.md §9, §10).
+    """Find what a model lacks to explain a movie (docs/discovery.md).
 
     Effects are added one at a time while the evidence is beyond chance and the held-out error falls.
 
@@ -58,7 +58,8 @@ def diagnose_traces(
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Report:
-    """Find what a model lacks to explain a table of traces (molecule, frame), when there is no movie (SPEC.md §9).
+    """Find what a model lacks to explain a table of traces (molecule, frame), when there is no movie
+    (docs/discovery.md).
 
     The same evidence, rules and report as for movies, from what traces show without an image. Brightness and
     background are fitted first, from ADU also the EM gain.
@@ -120,7 +121,7 @@ def refine(
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Report:
-    """The same loop by hand: fit the effects the user names, in order, and report the error (SPEC.md §10).
+    """The same loop by hand: fit the effects the user names, in order, and report the error (docs/discovery.md).
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ def _as_it_stands(candidate: Candidate, model: Model) -> Candidate:
 
 
 def verdict_of(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
-    """adequate, missing_effect or unexplained (DISCOVERY.md, decision rules)."""
+    """adequate, missing_effect or unexplained (docs/discovery.md)."""
     if not inquiry.chosen:
         if not inquiry.alarmed():
             return "adequate"

@@ -1,4 +1,4 @@
-"""What a diagnosis says: plain data, ready for JSON, tables, figures and the viewer (SPEC.md §10)."""
+"""What a diagnosis says: plain data, ready for JSON, tables, figures and the viewer (docs/files.md)."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class Report:
     w1: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """report.json of SPEC.md §10, with the additions a reader wants."""
+        """report.json of docs/files.md, with the additions a reader wants."""
         return {
             "verdict": self.verdict,
             "error": self.error,

@@ -1,4 +1,5 @@
-"""The bench for a table of traces alone: molecules far from each other, seen one by one (SPEC.md §7, §9).
+"""The bench for a table of traces alone: molecules far from each other, seen one by one (docs/comparison.md,
+docs/discovery.md).
 
 There is no image: simulated molecules are one pixel or one aperture each, through the same camera, as many as the table
 has. What needs a place is neither fitted nor asked for.

@@ -1,4 +1,6 @@
-"""Molecules that differ from the believed ones: dim ones, ones whose brightness wanders or switches (SPEC.md §9)."""
+"""Molecules that differ from the believed ones: dim ones, ones whose brightness wanders or switches
+(docs/effects.md).
+"""
 
 from __future__ import annotations
 

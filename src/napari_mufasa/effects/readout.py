@@ -1,4 +1,4 @@
-"""Read-out effects: what amplifier and converter do to a signal, in light and in the dark (SPEC.md §9)."""
+"""Read-out effects: what amplifier and converter do to a signal, in light and in the dark (docs/effects.md)."""
 
 from __future__ import annotations
 

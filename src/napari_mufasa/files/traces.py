@@ -1,4 +1,4 @@
-"""Traces as files: tidy CSV, 2-D TIFF, HDF5, and the .traces files of single-molecule FRET software (SPEC.md §10)."""
+"""Traces as files: tidy CSV, 2-D TIFF, HDF5, and the .traces files of single-molecule FRET software (docs/files.md)."""
 
 from __future__ import annotations
 

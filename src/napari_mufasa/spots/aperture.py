@@ -1,4 +1,4 @@
-"""From frames to traces: one linear operator per profile, applied to every frame (SPEC.md §6).
+"""From frames to traces: one linear operator per profile, applied to every frame (docs/traces.md).
 
 A trace is a weighted sum of pixels minus the same weights times a local background, and both are linear in
 the frame. So all traces of a block of frames are one sparse matrix times the block.

@@ -1,4 +1,4 @@
-"""Motion common to the whole field, so that positions can follow it (SPEC.md §6)."""
+"""Motion common to the whole field, so that positions can follow it (docs/traces.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How strongly each pixel speaks for a spot: a matched filter over several times (SPEC.md §6).
+"""How strongly each pixel speaks for a spot: a matched filter over several times (docs/traces.md).
 
 A molecule may be lit all the time, late, or for a few frames. Each pixel's evidence is the largest
 signal-to-noise ratio of a spot-shaped signal over three time scales: short blocks, five short blocks, the

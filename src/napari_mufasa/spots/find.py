@@ -1,4 +1,4 @@
-"""Where molecules are: local maxima of the evidence above a threshold (SPEC.md §6).
+"""Where molecules are: local maxima of the evidence above a threshold (docs/traces.md).
 
 The one finder: traces are extracted, and movies are observed for a diagnosis, at the places it gives.
 """

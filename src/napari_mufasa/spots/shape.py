@@ -1,4 +1,4 @@
-"""Position, width and elongation of spots from their lit image, all spots at once (SPEC.md §6)."""
+"""Position, width and elongation of spots from their lit image, all spots at once (docs/traces.md)."""
 
 from __future__ import annotations
 

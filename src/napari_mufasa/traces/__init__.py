@@ -1,4 +1,4 @@
-"""Single-molecule traces from a movie: `extract_traces` (SPEC.md §6)."""
+"""Single-molecule traces from a movie: `extract_traces` (docs/traces.md)."""
 
 from napari_mufasa.camera.frames import with_dark_baseline
 from napari_mufasa.traces.extract import Options, TraceSet, extract_traces

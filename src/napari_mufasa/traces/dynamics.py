@@ -1,4 +1,4 @@
-"""When a trace is on and off, how bright, and how it ends: the one classification, from its steps (SPEC.md §6).
+"""When a trace is on and off, how bright, and how it ends: the one classification, from its steps (docs/traces.md).
 
 Traces that a user sees and the numbers that a diagnosis compares both rest on it.
 """

@@ -1,4 +1,4 @@
-"""Single-molecule traces from an acquisition: detect, extract, judge (SPEC.md §6)."""
+"""Single-molecule traces from an acquisition: detect, extract, judge (docs/traces.md)."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def extract_traces(
     cancel: Callable[[], bool] | None = None,
     **changes: Any,
 ) -> TraceSet:
-    """Find single molecules in a movie and give their traces in photoelectrons (SPEC.md §6).
+    """Find single molecules in a movie and give their traces in photoelectrons (docs/traces.md).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which candidates are single molecules worth keeping; every rejected one keeps its reason (SPEC.md §6)."""
+"""Which candidates are single molecules worth keeping; every rejected one keeps its reason (docs/traces.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps in a trace: change points with a stated false-alarm rate (SPEC.md §6).
+"""Steps in a trace: change points with a stated false-alarm rate (docs/traces.md).
 
 Circular binary segmentation (Olshen et al. 2004): in a trace the stretch is looked for whose mean differs most from
 that of the rest, so that a short dark interval is found as well as one step; it is cut out where the difference is

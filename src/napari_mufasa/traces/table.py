@@ -1,4 +1,4 @@
-"""Extracted traces as the tables that users get: traces.csv and molecules.csv, by the columns of SPEC.md §10."""
+"""Extracted traces as the tables that users get: traces.csv and molecules.csv, by the columns of docs/files.md."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ class ComparePanel(Panel):
             self.session.set_model(self.comparison.fit.model, f"{self.session.model_origin}, fitted")
 
     def export(self, path: str) -> None:
-        """Write report.json (SPEC.md §10)."""
+        """Write report.json (docs/files.md)."""
         from napari_mufasa.files.whole import write_json
 
         if self.comparison is not None:

@@ -219,7 +219,7 @@ class MoleculesPanel(Panel):
         self.select(self.shown)
 
     def save(self, folder: str) -> None:
-        """Write traces.csv and molecules.csv (SPEC.md §10)."""
+        """Write traces.csv and molecules.csv (docs/files.md)."""
         from napari_mufasa.traces.table import write_traces
 
         if self.traces is None:
