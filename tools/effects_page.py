@@ -19,7 +19,8 @@ HEAD = """\
 <!-- Printed by tools/effects_page.py (make docs): change the words in napari_mufasa/effects/, not here. -->
 
 An effect is one physical mechanism. In a [model](model.md) it is data, `{{"kind": …}}` and parameters; on the command
-line `--effect KIND:NAME=VALUE,…`. [Discovery](discovery.md) searches them for what a model lacks.
+line `--effect KIND:NAME=VALUE,…`. There are {number}; [discovery](discovery.md) searches
+them for what a model lacks, but those marked *only when named*.
 
 {contents}
 
@@ -82,6 +83,7 @@ def section(effect: type[Effect]) -> str:
         f"* Rivals: {', '.join(f'[{kind}](#{kind})' for kind in effect.rivals)}",
         f"* Told apart by: {effect.separated_by}",
         f"* To check: {effect.how_to_check}",
+        *([] if effect.searched else ["* Searched by a diagnosis only when named"]),
         "",
     ]
     return "\n".join(lines)
