@@ -35,7 +35,7 @@ VALUES = 200_000  # a diagnosis looks at no more molecules times frames than thi
 LIGHT = ("optics.brightness_correction", "optics.background_photons_per_px")
 LIGHT_PRIOR = 0.35  # of the value matched: in reach are an eighth of it and nearly twice as much
 LIGHT_NUMBERS = ("signal_", "level", "ensemble")  # observables that say how much light, in levels
-LEAST_SPREAD = 0.02  # of them: light is never more even than that from place to place
+LEAST_SPREAD = (0.02, 0.005)  # of them, and of others: light is never more even than that from place to place
 FIELDS = 8  # draws of the places within the pixels: simulations of one number share theirs
 MATCHING_SEED = 10_000
 SHARES = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)  # of the mean signal that may be a molecule's …
@@ -154,7 +154,7 @@ class TraceBench(Bench[TraceNumbers]):
 
     def least_spread(self) -> Array:
         of_light = np.array([name.startswith(LIGHT_NUMBERS) for name in self.names])
-        least: Array = np.maximum(super().least_spread(), np.where(of_light, LEAST_SPREAD, 0.0))
+        least: Array = np.maximum(super().least_spread(), np.where(of_light, *LEAST_SPREAD))
         return least
 
     def read_off(self, kind: str) -> dict[str, Any]:
