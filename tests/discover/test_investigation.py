@@ -159,7 +159,7 @@ def test_a_form_simulated_too_weakly_has_its_turn(monkeypatch):
 )
 def test_what_is_left_beyond_chance_is_unexplained_as_a_whole_or_in_one_observable(p_left, after, farthest, verdict):
     seen = SimpleNamespace(soft=np.append(np.zeros(110), farthest))
-    state = SimpleNamespace(adjusted=lambda x: seen, misfit=lambda x: 100.0)
+    state = SimpleNamespace(adjusted=lambda x: seen, misfit=lambda x: 100.0, measurable=np.ones(111, dtype=bool))
     null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_left))
     inquiry = SimpleNamespace(chosen=["stage_drift"], state=state, null=null, x=None)
     assert reporting.verdict_of(inquiry, [5.0, after], 1.0) == verdict

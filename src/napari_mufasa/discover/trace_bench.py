@@ -35,7 +35,8 @@ LEAST_MOLECULES, LEAST_FRAMES = 4 * RUN, 8
 VALUES = 200_000  # a diagnosis looks at no more molecules times frames than this
 LIGHT = ("optics.brightness_correction", "optics.background_photons_per_px")
 LIGHT_PRIOR = 0.35  # of the value matched: in reach are an eighth of it and nearly twice as much
-LEAST_SPREAD = 0.02  # of a level or of all molecules: light is never more even than that from place to place
+LIGHT_NUMBERS = ("signal_", "level", "ensemble")  # observables that say how much light, in levels
+LEAST_SPREAD = (0.02, 0.005)  # of them, and of others: light is never more even than that from place to place
 FIELDS = 8  # draws of the places within the pixels: simulations of one number share theirs
 MATCHING_SEED = 10_000
 SHARES = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)  # of the mean signal that may be a molecule's …
@@ -153,7 +154,8 @@ class TraceBench(Bench[TraceNumbers]):
         return float(np.mean(np.array(gaps) / self._floors))
 
     def least_spread(self) -> Array:
-        least: Array = np.maximum(super().least_spread(), LEAST_SPREAD)
+        of_light = np.array([name.startswith(LIGHT_NUMBERS) for name in self.names])
+        least: Array = np.maximum(super().least_spread(), np.where(of_light, *LEAST_SPREAD))
         return least
 
     def read_off(self, kind: str) -> dict[str, Any]:
