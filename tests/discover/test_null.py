@@ -32,7 +32,7 @@ def chances():
 
 def test_alarms_are_as_rare_as_they_are_said_to_be(chances):
     """2 % by evidence and 1 % by misfit. The laws are fitted to 72 simulations: their 3 % may as well be 5 %, and that
-    is what a whole diagnosis is allowed. More than 21 of 200 then have a chance of 10⁻³; a calibration that alarms
+    is what a whole diagnosis is allowed. More than 21 of 200 then have a chance of 5·10⁻⁴; a calibration that alarms
     in 15 % is told with 96 %."""
     evidence, misfit = chances
     alarms = int(((evidence < ALARM) | (misfit < MISFIT_ALARM)).sum())
