@@ -85,17 +85,23 @@ def test_a_gain_that_is_wrong_shows(believed):
 
 
 def test_a_hidden_dark_state_is_found_and_brings_the_error_to_the_floor(believed, tmp_path):
+    """In three tables. Errors of the right model scatter by a fifth about the floor, so that one table in ten is above
+    1.25 floors by chance, and two of three in 3 %."""
     hidden = {"kind": "long_dark_state", "off_rate_per_s": 1.5, "dark_time_s": 0.4}
-    traces = made(believed.with_values({"effects": [hidden]}))
+    truth = believed.with_values({"effects": [hidden]})
     dim = believed.with_values({"optics.brightness_correction": 0.85})  # a belief 15 % too dim is not an effect
-    report = diagnose_traces(traces, dim, effects=["photobleaching", "long_dark_state", "laser_drift"], seed=2)
-    assert report.verdict == "missing_effect"
-    assert report.chosen == ["long_dark_state"]
-    assert report.error["before"] > 2 * report.error["after"]
-    assert report.error["after"] < 1.25 * report.error["floor"]
-    assert report.w1["after"] < 1.5 * report.w1["floor"] < report.w1["before"]
-    found = report.model.effects[-1]
-    assert found.off_rate_per_s * found.dark_time_s == pytest.approx(0.6, rel=0.4)  # time dark over time lit
+    at_the_floor = 0
+    for seed in (21, 31, 41):
+        traces = made(truth, seed=seed)
+        report = diagnose_traces(traces, dim, effects=["photobleaching", "long_dark_state", "laser_drift"], seed=2)
+        assert report.chosen == ["long_dark_state"]
+        assert report.error["before"] > 2 * report.error["after"]
+        assert report.w1["after"] < 1.5 * report.w1["floor"] < report.w1["before"]
+        found = report.model.effects[-1]
+        assert (found.form, found.start) == ("exponential", "bright")  # as it was hidden
+        assert found.off_rate_per_s * found.dark_time_s == pytest.approx(0.6, rel=0.4)  # time dark over time lit
+        at_the_floor += report.verdict == "missing_effect" and report.error["after"] < 1.25 * report.error["floor"]
+    assert at_the_floor >= 2
     plain = report.to_dict()
     write_json(tmp_path / "report.json", plain)
     contract = {"verdict", "error", "failing", "ranking", "chosen", "history", "model", "seconds", "seed", "w1"}

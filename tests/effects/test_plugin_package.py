@@ -53,7 +53,7 @@ def run(tmp_path_factory):
 
 def test_the_effect_is_listed_after_the_built_in_ones(run):
     lines = run("presets", "--effects").splitlines()
-    assert len(lines) == 1 + 26 + 1
+    assert len(lines) == 1 + 35 + 1
     assert lines[-1].split()[0] == "slow_shutter"
     assert "missing=0.5" in lines[-1]
 

@@ -80,7 +80,7 @@ class Contest:
         found = fit.fit_if_promising(self.library, self.state, starts, self.x, to_beat, promised)
         if found is None or found.is_some or self.evidence(found) < self._null().evidence.at(ALARM):
             return found
-        others = [start for start in starts if start.form_name != found.effect.form_name]
+        others = [start for start in starts if start.chosen != found.effect.chosen]
         again = fit.fit_if_promising(self.library, self.state, others, self.x, to_beat) if others else None
         return again if again is not None and again.is_some else found
 
@@ -116,7 +116,7 @@ class Contest:
     def _best_form(self, found: Fit) -> Fit:
         """The same effect in its other forms (other time courses, dwell laws, profiles), where one fits better; the
         plain one is always among them."""
-        plain, form = found.effect.forms()[0], found.effect.form_name
+        plain, form = type(found.effect)().chosen, found.effect.chosen
         others: list[Lead] = []
         if not self._content(found):
             leads = self.state.screen(self.x, {found.effect.kind: self.library.rays[found.effect.kind]})
@@ -124,10 +124,10 @@ class Contest:
             # A form that is chance itself (a walk, pink noise) promises far less by one simulation than it holds, and
             # one that was simulated at weak settings only less than it does where it is stronger.
             worth = [lead for lead in forms if lead.gain > FORM_WORTH * best.gain or lead.may_be_stronger]
-            others = [lead for lead in worth if lead.ray.effect.form_name != form]
+            others = [lead for lead in worth if lead.ray.effect.chosen != form]
         starts = [lead.start() for lead in others]
-        if plain not in (form, *(start.form_name for start in starts)):
-            starts.append(changed(found.effect, {}, form=plain))
+        if plain not in (form, *(start.chosen for start in starts)):
+            starts.append(changed(found.effect, {}, **plain))
         self.library.bench.plan(len(starts) * fit.planned_simulations())
         least = FORM_WORTH / fit.HOPELESS * self.evidence(found)
         tries = [fit.fit_if_promising(self.library, self.state, start, self.x, least) for start in starts]
@@ -147,7 +147,7 @@ class Contest:
 
         def worse(found: Fit) -> float:
             error = found.state.held_out_error(self.x)
-            plain = found.effect.form_name == found.effect.forms()[0]
+            plain = found.effect.chosen == type(found.effect)().chosen
             return float(found.score + self.x.shape[1] * error**2 - (PLAIN if plain else 0.0))
 
         return min(close, key=worse)

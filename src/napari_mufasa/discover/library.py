@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args, get_origin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,10 +179,8 @@ def searched_ranges(effect: type[Effect], model: Model) -> dict[str, tuple[float
 
 def choice_fields(effect: type[Effect]) -> dict[str, tuple[str, ...]]:
     """Fields with named options: the form, and others like it, but for forms that are not searched."""
-    fields = {name: field.annotation for name, field in effect.model_fields.items()}
-    choices = {name: get_args(options) for name, options in fields.items() if get_origin(options) is Literal}
     unsearched = effect.unsearched_forms
-    return {name: tuple(option for option in options if option not in unsearched) for name, options in choices.items()}
+    return {name: tuple(o for o in options if o not in unsearched) for name, options in effect.choices().items()}
 
 
 def expected_simulations(kinds: Sequence[str], n_free: int, model: Model) -> int:

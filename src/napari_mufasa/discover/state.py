@@ -136,7 +136,7 @@ class State:
         raw = stretch(start.soft)
         found: dict[str, list[Lead]] = {}
         for kind, candidates in rays.items():
-            best: dict[str, Lead] = {}
+            best: dict[tuple[str, ...], Lead] = {}
             scales = (
                 (*SCALES, *(-s for s in SCALES))
                 if candidates and two_sided(candidates[0].effect, candidates[0].none)
@@ -149,7 +149,7 @@ class State:
                 rest -= (rest @ q) @ q.T
                 gains = start.chi2 - (rest**2).sum(axis=1)
                 i = int(np.argmax(gains))
-                form = ray.effect.form_name
+                form = tuple(ray.effect.chosen.values())
                 if form not in best or gains[i] > best[form].gain:
                     best[form] = Lead(float(gains[i]), ray, scales[i])
             found[kind] = sorted(best.values(), key=lambda lead: -lead.gain)

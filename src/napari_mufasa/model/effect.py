@@ -7,7 +7,7 @@ registers a class under the entry-point group ``napari_mufasa.effects``.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
@@ -143,6 +143,17 @@ class Effect(BaseModel):
         extra = cls.model_fields[name].json_schema_extra
         named: Any = extra.get("forms") if isinstance(extra, dict) else None
         return set(named or cls.forms())
+
+    @classmethod
+    def choices(cls) -> dict[str, tuple[str, ...]]:
+        """Fields with named options: the form, and others like it."""
+        fields = {name: field.annotation for name, field in cls.model_fields.items()}
+        return {name: get_args(options) for name, options in fields.items() if get_origin(options) is Literal}
+
+    @property
+    def chosen(self) -> dict[str, str]:
+        """The option of each of its `choices`; those of an effect without parameters given are its plain ones."""
+        return {name: str(getattr(self, name)) for name in type(self).choices()}
 
     @property
     def form_name(self) -> str:
