@@ -79,8 +79,9 @@ class PartForm(Container[Widget]):
 
     def mark(self, name: str, wrong: bool) -> None:
         for line in (self[name].native, *self[name].native.findChildren(QLineEdit)):
-            if isinstance(line, QLineEdit):
-                line.setStyleSheet(ERROR_STYLE if wrong else "")
+            style = ERROR_STYLE if wrong else ""
+            if isinstance(line, QLineEdit) and line.styleSheet() != style:  # Qt lays the whole form out again
+                line.setStyleSheet(style)
 
     def show_row(self, name: str, visible: bool) -> None:
         self[name].visible = visible

@@ -68,15 +68,20 @@ def added(viewer: Viewer, layers: Iterable[Layer]) -> Generator[None, None, None
     """Add layers to a viewer one after the other; what is drawn of each comes a turn later."""
     for layer in layers:
         visible, layer.visible = layer.visible, False
-        if layer.ndim == 3:
-            yield from room_for(viewer, layer.data.shape, layer.scale)
-        with gently(viewer):
-            viewer.add_layer(layer)
-        if hasattr(layer, "text"):
-            without_labels(viewer, layer)
-        if visible:
-            yield from shown_later(viewer, layer)
-        yield
+        yield from added_hidden(viewer, layer, visible)
+
+
+def added_hidden(viewer: Viewer, layer: Layer, shown: bool) -> Generator[None, None, None]:
+    """Add a layer that is not visible; show it then, if it is to be. One that was made so has nothing to draw yet."""
+    if layer.ndim == 3:
+        yield from room_for(viewer, layer.data.shape, layer.scale)
+    with gently(viewer):
+        viewer.add_layer(layer)
+    if hasattr(layer, "text"):
+        without_labels(viewer, layer)
+    if shown:
+        yield from shown_later(viewer, layer)
+    yield
 
 
 def resolution_um(layer: Layer) -> float | None:

@@ -10,7 +10,7 @@ from qtpy.QtWidgets import QFileDialog, QHBoxLayout
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.parts.forms import dress_one, step_form
-from napari_mufasa.widgets.parts.layers import added, resolution_um
+from napari_mufasa.widgets.parts.layers import added_hidden, resolution_um
 from napari_mufasa.widgets.parts.panel import Panel, boxed, button, wrapped
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
 from napari_mufasa.widgets.turns.jobs import guarded
@@ -83,10 +83,13 @@ class DataPanel(Panel):
 
         self.start("Simulating the sample", work, self.take)
 
-    def take(self, layers: list[Any]) -> Generator[None, None, None]:
-        yield from added(self.viewer, layers)
-        self.session.set_movie(next(layer for layer in layers if stored(layer, "role") != "dark frames"))
+    def take(self, made: list[tuple[Any, bool]]) -> Generator[None, None, None]:
+        for layer, shown in made:
+            yield from added_hidden(self.viewer, layer, shown)
+        self.session.set_movie(next(layer for layer, _ in made if stored(layer, "role") != "dark frames"))
+        yield
         self._use_model()
+        yield
         self.viewer.dims.set_point(0, 0)
 
     def refresh(self) -> None:
@@ -137,7 +140,8 @@ class DataPanel(Panel):
         self.refresh()
 
 
-def _made(found: list[Any]) -> list[Any]:
+def _made(found: list[Any]) -> list[tuple[Any, bool]]:
+    """Layers, not visible, and whether they are to be."""
     from napari.layers import Layer
 
-    return [Layer.create(*data) for data in found]
+    return [(Layer.create(data, o | {"visible": False}, kind), o.get("visible", True)) for data, o, kind in found]
