@@ -79,7 +79,11 @@ def test_every_control_has_a_name_and_is_reached_by_tab(workflow, name):
 
 def test_keys_change_the_step_and_run_it(workflow, qtbot):
     workflow.show_step(0)
+    # Keys go to a window that is active, and without a window manager it takes a while to be.
+    workflow.window().activateWindow()
+    qtbot.waitUntil(workflow.window().isActiveWindow, timeout=10_000)
     workflow.buttons.button(0).setFocus()
+    qtbot.waitUntil(workflow.buttons.button(0).hasFocus, timeout=10_000)
     qtbot.keyClick(workflow.buttons.button(0), Qt.Key.Key_4, Qt.KeyboardModifier.AltModifier)
     assert STEPS[workflow.stack.currentIndex()] == "Molecules"
     panel = workflow.step("Molecules")
