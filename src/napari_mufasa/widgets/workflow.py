@@ -89,7 +89,7 @@ class WorkflowWidget(QWidget):
             placeholder: Any = self.stack.widget(index)
             self.stack.removeWidget(placeholder)
             placeholder.deleteLater()
-            self.stack.insertWidget(index, scrolled(panel))
+            self.stack.insertWidget(index, Scrolled(panel))
         return self.steps[name]
 
     def go(self, by: int) -> None:
@@ -118,16 +118,20 @@ def panel_class(name: str) -> Any:
     return getattr(import_module(f"napari_mufasa.widgets.steps.{module}"), kind)
 
 
-def scrolled(panel: QWidget) -> QScrollArea:
-    """A panel in a scroll area that never scrolls sideways."""
-    area = QScrollArea()
-    area.setWidgetResizable(True)
-    area.setFrameShape(QScrollArea.Shape.NoFrame)
-    area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    area.setWidget(panel)
-    # Wide enough for what is in it, with room for the scroll bar: nothing is cut on the right.
-    area.setMinimumWidth(min(520, panel.minimumSizeHint().width() + 18))
-    return area
+class Scrolled(QScrollArea):
+    """A panel that scrolls up and down only: it is as wide as what is in it needs to be, with room for the scroll bar,
+    whatever the theme's font makes of that later."""
+
+    def __init__(self, panel: QWidget) -> None:
+        super().__init__()
+        self.setWidgetResizable(True)
+        self.setFrameShape(QScrollArea.Shape.NoFrame)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setWidget(panel)
+
+    def minimumSizeHint(self) -> QSize:
+        panel: Any = self.widget()
+        return QSize(min(560, panel.minimumSizeHint().width() + 18), super().minimumSizeHint().height())
 
 
 def fill_the_dock(widget: QWidget) -> None:
@@ -145,7 +149,7 @@ class _Single(QWidget):
         self.panel = panel_class(self.step_name)(unwrapped(napari_viewer))
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(scrolled(self.panel))
+        layout.addWidget(Scrolled(self.panel))
         self.setMinimumWidth(360)
         fill_the_dock(self)
 
