@@ -4,7 +4,8 @@
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format blind validate bench-denoise bench-diagnose stalls screenshots docs clean
+.PHONY: help setup demo test lint format blind validate bench-denoise bench-diagnose stalls trust fuzz kill soak audit \
+	screenshots docs clean
 
 export PYTHON
 PY := .venv/bin/python
@@ -18,7 +19,7 @@ setup: ## .venv, all Python packages, missing system libraries (apt when root)
 	@tools/setup.sh all,test
 
 demo: setup ## the main job without a screen: hide an effect, find it from the files alone; writes demo/
-	.venv/bin/napari-mufasa demo --out demo $(ARGS)
+	.venv/bin/napari-mufasa demo --out demo --overwrite $(ARGS)
 
 test: lint ## lint, then the whole test suite under Xvfb
 	tools/run-tests.sh $(PYTEST_ARGS) $(ARGS)
@@ -48,6 +49,22 @@ bench-diagnose: setup ## time and memory of a diagnosis against their limits
 stalls: setup ## how long the interface stands still, and what napari's start costs with the plugin
 	tools/run-tests.sh benchmarks/test_stalls.py -q -s --show-capture=no $(ARGS)
 	xvfb-run -a -s "-screen 0 1600x1000x24" $(PY) -m benchmarks.startup
+
+trust: fuzz kill soak audit ## all of the next four: hostile input, broken files, long runs (two hours)
+
+fuzz: setup ## feed the readers and the model parser with made-up files, 15 minutes each
+	@tools/setup.sh trust
+	$(PY) tools/fuzz.py $(ARGS)
+
+kill: setup ## kill -9 at random moments of long writes: whole files, or none
+	$(PY) tools/kill.py $(ARGS)
+
+soak: setup ## 200 rounds of simulate, denoise, extract, diagnose: memory and threads stay
+	$(PY) tools/soak.py $(ARGS)
+
+audit: setup ## known vulnerabilities of the installed packages, where the network allows
+	@tools/setup.sh trust
+	$(PY) tools/audit.py $(ARGS)
 
 screenshots: setup ## pictures of the viewer, drawn under Xvfb
 	xvfb-run -a -s "-screen 0 1600x1000x24" $(PY) tools/screenshots.py $(ARGS)

@@ -138,7 +138,7 @@ def show_a_map(panel: Any) -> None:
         panel.where.failing.selectRow(row)
         panel.where.failing.cellClicked.emit(row, 0)
         pump(0.1)
-        if panel.layers.map is not None and panel.layers.map.visible:
+        if panel.layers.get("map") is not None and panel.layers.get("map").visible:
             return
     panel.where.failing.selectRow(0)
 
@@ -154,7 +154,7 @@ def settle(workflow: Any) -> None:
 
 def simulate(viewer: Any, dock: Any) -> Iterator[str]:
     panel = dock.panel
-    panel.form.model.choose("FF")
+    panel.form.model.value = "FF"
     power = panel.parts["excitation"].form["power_density_w_per_cm2"].native
     power.setText("10")
     power.editingFinished.emit()
@@ -172,7 +172,7 @@ def real(viewer: Any, workflow: Any) -> Iterator[str]:
     """The real movie: opened, molecules found, one clicked."""
     workflow.step("Data").open_movie(str(REAL_MOVIE))
     finish(workflow.step("Data"))
-    workflow.step("Model").source.open_file(str(REAL_MODEL))
+    workflow.step("Model").source.value = REAL_MODEL
     workflow.step("Data").use_scale.click()
     workflow.show_step(3)
     panel = workflow.step("Molecules")

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from napari_mufasa.compare import Comparison, compare_movie, compare_traces
     from napari_mufasa.compare.wasserstein import wasserstein
     from napari_mufasa.denoise import denoise, pure_let
-    from napari_mufasa.design import Prediction, design, predict
+    from napari_mufasa.design.predict import Prediction, design, predict
     from napari_mufasa.discover import Investigation, Report, diagnose, diagnose_traces, refine
     from napari_mufasa.effects import Effect, catalogue
     from napari_mufasa.errors import Cancelled, MufasaError
     from napari_mufasa.model import Camera, Model, Setup, preset
+    from napari_mufasa.propose import Mismatch, Proposal, mismatches, propose_model
     from napari_mufasa.simulate import SimulatedAcquisition, Simulation, simulate, simulate_dark, simulate_emission
     from napari_mufasa.traces import TraceSet, extract_traces
 
@@ -33,16 +34,18 @@ _HOMES = {
     "effects": ("Effect", "catalogue"),
     "errors": ("Cancelled", "MufasaError"),
     "model": ("Camera", "Model", "Setup", "preset"),
+    "propose": ("Mismatch", "Proposal", "mismatches", "propose_model"),
     "simulate": ("SimulatedAcquisition", "Simulation", "simulate", "simulate_dark", "simulate_emission"),
     "traces": ("TraceSet", "extract_traces"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Calibration", "Camera", "Cancelled", "Comparison", "Effect", "Investigation", "Model", "MufasaError",
-    "Prediction", "Report", "Setup", "SimulatedAcquisition", "Simulation", "TraceSet", "calibrate", "catalogue",
-    "compare_movie", "compare_traces", "denoise", "design", "diagnose", "diagnose_traces", "extract_traces", "predict",
-    "preset", "pure_let", "refine", "simulate", "simulate_dark", "simulate_emission", "wasserstein",
+    "Calibration", "Camera", "Cancelled", "Comparison", "Effect", "Investigation", "Mismatch", "Model",
+    "MufasaError", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation", "TraceSet",
+    "calibrate", "catalogue", "compare_movie", "compare_traces", "denoise", "design", "diagnose",
+    "diagnose_traces", "extract_traces", "mismatches", "predict", "preset", "propose_model", "pure_let", "refine",
+    "simulate", "simulate_dark", "simulate_emission", "wasserstein",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

@@ -10,11 +10,5 @@ class MufasaError(ValueError):
     """
 
 
-def need(value: object, kind: type, name: str, remedy: str) -> None:
-    """Raise unless `value` is a `kind`: what was handed over instead, and what to give."""
-    if not isinstance(value, kind):
-        raise MufasaError(f"{name} is a {type(value).__name__}, not a {kind.__name__}: {remedy}")
-
-
 class Cancelled(Exception):
     """Raised inside long work when the user asked it to stop; nothing is left half-written."""

@@ -6,7 +6,7 @@ believes, what may be missing from it, and by how much everything else is off, a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,6 @@ from napari_mufasa.effects import effect_class
 from napari_mufasa.files.layers import LayerData, contrast, movie_space
 from napari_mufasa.files.movies import METADATA_KEY
 from napari_mufasa.model import Model, preset
-from napari_mufasa.simulate.movie import simulate, simulate_dark
 
 
 def sample_palm() -> list[LayerData]:
@@ -52,6 +51,8 @@ def _sample(name: str, n_frames: int, n_molecules: int, changes: dict[str, Any])
         }
         | changes
     )
+    from napari_mufasa.simulate.movie import simulate
+
     result = simulate(model, seed=1, workers=2)
     options = movie_space(model.acquisition.pixel_size_nm) | {
         "name": f"{name} sample",
@@ -120,6 +121,8 @@ class Puzzle:
 
 def hide(believed: Model, kinds: Iterable[str], rng: np.random.Generator, n_dark: int = 100) -> Puzzle:
     """One effect of ``kinds`` put into the model believed, and the movie recorded with everything else a little off."""
+    from napari_mufasa.simulate.movie import simulate, simulate_dark
+
     effect = draw_effect(believed, kinds, rng)
     data = believed.model_dump()
     off = {path: data[path.split(".")[0]][path.split(".")[1]] * rng.uniform(*by) for path, by in OFF_BY.items()}
@@ -169,3 +172,13 @@ def sample_hidden_effect(seed: int = PUZZLE_SEED) -> list[LayerData]:
         (puzzle.dark, shared | {"name": dark_name, "visible": False, "metadata": of_dark}, "image"),
         (puzzle.movie, shared | shown, "image"),
     ]
+
+
+#: The samples by key (napari.yaml lists them for napari): what each is called, and what makes its layers.
+SAMPLES: dict[str, tuple[str, Callable[[], list[LayerData]]]] = {
+    "hidden_effect": ("hidden effect", sample_hidden_effect),
+    "ff": ("FF", sample_ff),
+    "blinking": ("Blinking", sample_blinking),
+    "storm": ("STORM", sample_storm),
+    "palm": ("PALM", sample_palm),
+}

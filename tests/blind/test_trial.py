@@ -56,3 +56,19 @@ def test_a_page_is_made_of_rows_alone(page, tmp_path, monkeypatch):
     assert "--table" in page.read_text() and "| nothing hidden: adequate | 1 / 1 (100%) |" in page.read_text()
     with pytest.raises(SystemExit):
         trial.main(["--table", str(tmp_path / "none.jsonl")])
+
+
+def test_several_effects_at_once_are_counted_one_by_one(page, tmp_path, monkeypatch, capsys):
+    """Of three to five hidden, the last is missed in each movie, and a wrong one named in the first."""
+
+    def partly(case, base):
+        told = row(case)
+        told["chosen"] = told["chosen"][:-1] + (["cosmic_rays_not"] if case["seed"] == 7000 else [])
+        return told
+
+    monkeypatch.setattr(trial, "run", partly)
+    trial.main(["--groups", "several", "--seeds", "3", "--results", str(tmp_path / "rows.jsonl")])
+    said = capsys.readouterr().out
+    assert "| three to five: effects found | 9 / 12 |" in said
+    assert "| three to five: wrong names of those given | 1 / 10 |" in said and not page.exists()
+    assert trial.several(5) == trial.several(5) and len({k for k, _ in trial.several(5)}) == 5

@@ -2,6 +2,7 @@
 
     python -m tests.blind.trial                       the whole trial (hours); writes docs/blind_trial.md when it ends
     python -m tests.blind.trial --quick               a few minutes: short movies, one seed; writes no page
+    python -m tests.blind.trial --groups several --seeds 10    ten movies that lack three to five effects; no page
     python -m tests.blind.trial --table ROWS.jsonl    docs/blind_trial.md from the rows of a trial, nothing is run
 
 The truth stays with this script; `diagnose` gets the movie, the dark frames and the believed model only. Every case
@@ -20,6 +21,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import napari_mufasa as nm
 
 from . import generator
@@ -35,6 +38,8 @@ PAIRS = (
     ("long_dark_state", "background_gradient"), ("astigmatism", "periodic_modulation"),
 )  # fmt: skip
 
+
+APART = ({"em_excess_noise", "detector_saturation"}, {"multiple_emitters", "photobleaching"})
 
 # Parameters that the catalogue and the generator mean alike, in the generator's first form of each effect.
 SAME_MEANING = {
@@ -72,6 +77,8 @@ def cases(seeds: range, nulls: int, groups: set[str]) -> Iterator[dict[str, Any]
         if "pair" in groups:
             for i, pair in enumerate(PAIRS):
                 yield {"group": "pair", "effects": [[k, 0.5] for k in pair], "seed": 3000 + 37 * seed + i}
+        if "several" in groups:
+            yield {"group": "several", "effects": several(seed), "seed": 7000 + seed}
         if "off" in groups:
             for i, kind in enumerate(generator.OFF_CATALOGUE):
                 yield {"group": "off", "off": kind, "effects": [], "seed": 4000 + 37 * seed + i}
@@ -80,10 +87,20 @@ def cases(seeds: range, nulls: int, groups: set[str]) -> Iterator[dict[str, Any]
                 yield {"group": "null", "effects": [], "seed": 2000 + 101 * seed + i}
 
 
+def several(seed: int) -> list[list[Any]]:
+    """Three to five effects, clearly visible each alone. Two that are alike by definition are not drawn together, nor
+    several emitters with a bleaching that their base has already."""
+    rng = np.random.default_rng(7000 + seed)
+    while True:
+        kinds = [str(kind) for kind in rng.choice(list(generator.EFFECTS), 3 + seed % 3, replace=False)]
+        if not any(pair <= set(kinds) for pair in APART):
+            return [[kind, 0.5] for kind in kinds]
+
+
 def run(case: dict[str, Any], base: str | None) -> dict[str, Any]:
     """Make the movie, diagnose it without the truth, then compare."""
     kinds = [kind for kind, _ in case["effects"]]
-    name = base or (generator.suitable_base(kinds[0]) if kinds else "emccd")
+    name = base or ("emccd_bleach" if "multiple_emitters" in kinds else "emccd")
     believed = generator.base_model(name)
     n = 25 if name == "emccd_short" else 50
     if case["group"] == "off":
@@ -158,6 +175,15 @@ def summary(results: list[dict[str, Any]]) -> str:
     if groups["pair"]:
         both = lambda r: {k for k, _ in r["effects"]} <= set(r["chosen"])  # noqa: E731
         lines.append(f"| two effects: both named | {rate(groups['pair'], both)} |")
+    if many := groups["several"]:
+        hidden = [{k for k, _ in r["effects"]} for r in many]
+        found = sum(len(true & set(r["chosen"])) for true, r in zip(hidden, many, strict=True))
+        named = sum(len(r["chosen"]) for r in many)
+        lines += [
+            f"| three to five: effects found | {found} / {sum(map(len, hidden))} |",
+            f"| three to five: wrong names of those given | {named - found} / {named} |",
+            f"| three to five: error after ≤ 1.25 × floor | {rate(many, _at_the_floor)} |",
+        ]
     pulled = [pull for r in results for pull in r.get("pulls", {}).values()]
     if pulled:
         inside = sum(abs(pull) <= 1.96 for pull in pulled)

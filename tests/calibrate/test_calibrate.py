@@ -7,8 +7,9 @@ import pytest
 from tests.real_data import real_data
 
 import napari_mufasa as nm
-from napari_mufasa.calibrate.dark import leading_dark_frames
 from napari_mufasa.calibrate.measure import calibrate
+from napari_mufasa.calibrate.sample import leading_dark_frames
+from napari_mufasa.calibrate.series import Exposed, calibrate_gain_series
 
 
 def movie_and_dark(name, **changes):
@@ -101,7 +102,95 @@ def test_real_yeast_and_smfret():
     assert "frames 0 to 26 are dark" in yeast.notes[0]
     assert yeast.baseline_adu.value == pytest.approx(195.5, abs=1.0)
     assert yeast.read_noise_adu.value == pytest.approx(41, abs=1)
-    assert 20 <= yeast.slope_adu.value <= 24
-    smfret = calibrate(real("smfret_ixon_emccd.tif"), em_gain=300)
-    assert 37 <= smfret.slope_adu.value <= 41
-    assert 100 <= smfret.baseline_adu.value <= 118
+    rows = yeast.readout
+    assert rows.dark_row_correlations[0] == pytest.approx(0.17, abs=0.01)
+    assert rows.kernel[0] == pytest.approx(0.17, abs=0.02)
+    assert rows.alternation_adu.value == pytest.approx(2.0, abs=0.3)
+    power = sum(w**2 for w in (1, *rows.kernel)) / sum((1, *rows.kernel)) ** 2
+    assert 20 <= yeast.slope_adu.value * power <= 24  # as the raw variance has it
+
+
+@pytest.mark.realdata
+def test_real_smfret_without_dark_frames():
+    found = calibrate(real("smfret_ixon_emccd.tif"), em_gain=300)
+    assert found.readout.kernel[0] == pytest.approx(-0.051, abs=0.004)
+    assert 37 <= found.slope_adu.value / (1 + 2 * found.readout.row_correlations[0]) <= 41
+    assert found.baseline_adu.value == pytest.approx(108, abs=10)
+    low, high = found.read_noise_adu.interval
+    assert 0 < low < found.read_noise_adu.value < high
+
+
+@pytest.mark.realdata
+def test_real_polymerase_and_its_dark_half():
+    movie, dark = real("polymerase_ixon888_emccd.tif")[:60], real("polymerase_ixon888_dark.tif")
+    known = calibrate(movie, dark, em_gain=400)
+    # Along a row, of all pixels; motion of the sample adds 0.02 to it, and as much along columns.
+    assert known.readout.correlations_everywhere[0] == pytest.approx(-0.115, abs=0.01)
+    assert known.readout.row_correlations[0] == pytest.approx(-0.138, abs=0.01)
+    shaded = calibrate(np.concatenate([movie, dark], axis=1), em_gain=400)
+    assert "lie in shadow" in shaded.notes[0]
+    assert shaded.baseline_adu.value == pytest.approx(known.baseline_adu.value, abs=5)
+    assert shaded.adu_per_photoelectron.value == pytest.approx(known.adu_per_photoelectron.value, rel=0.06)
+
+
+@pytest.mark.realdata
+def test_real_gain_series_together():
+    folder = "emccd_gain_series/"
+    movies = [
+        Exposed(*(real(f"{folder}{g}x-gain{end}.tif") for end in ("", "_no-signal_S0", "_no-signal_sigma")))
+        for g in (1, 5, 25, 100, 300)
+    ]
+    found = calibrate_gain_series(movies)
+    assert found.electrons_per_adu.value == pytest.approx(3.859, rel=0.03)
+    for gain, by_mean in zip(found.em_gain[1:], (4.8, 23, 90, 262), strict=True):
+        assert gain.value == pytest.approx(by_mean, rel=0.05)
+    assert all(1.9 <= factor.value <= 2.1 for factor in found.excess_noise_factor[2:])
+
+
+def camera_with(kind, **changes):
+    values = {"type": kind, "quantum_efficiency": 0.9, "read_noise_e": 80.0, "electrons_per_adu": 12.0,
+              "baseline_adu": 200.0, "em_gain": 300.0}  # fmt: skip
+    if kind != "EMCCD":
+        values |= {"read_noise_e": 3.0, "electrons_per_adu": 0.8, "em_gain": None}
+    model = nm.preset("FF").with_values({
+        "acquisition.n_frames": 100, "acquisition.shape_px": (64, 64), "sample.n_molecules": 0,
+    })  # fmt: skip
+    return model.model_copy(update={"camera": nm.Camera.model_validate(values | changes)})
+
+
+def test_a_missing_excess_noise_kernel_or_tail_is_rejected_and_the_right_law_is_not():
+    model = camera_with("EMCCD", readout_kernel=(-0.08,), read_noise_kernel=(-0.08,), clock_induced_charge_e=0.01)
+    movie, dark = nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)
+    found = calibrate(movie, dark, em_gain=300)
+    assert found.p_value > 1e-3
+    assert found.readout.shares[0].value == pytest.approx(-0.08, abs=5 * found.readout.shares[0].sd)
+    assert found.excess_noise_measured.value == pytest.approx(2.0, abs=0.3)
+    assert found.clock_induced_charge_e.value == pytest.approx(0.01, rel=0.2)
+    for wrong in ({"excess_noise_factor": 1.0}, {"readout_kernel": ()}, {"clock_induced_charge_e": 0.0}):
+        assert calibrate(movie, dark, em_gain=300, **wrong).p_value < 1e-3, wrong
+
+
+def test_kernel_alternation_and_codes_go_into_the_camera():
+    model = camera_with("CCD", readout_kernel=(0.15,), read_noise_kernel=(0.15,), baseline_alternation_adu=1.5)
+    found = calibrate(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), camera_type="CCD")
+    assert found.camera.readout_kernel[0] == pytest.approx(0.15, abs=0.02)
+    assert found.camera.read_noise_kernel[0] == pytest.approx(0.15, abs=0.02)
+    assert found.camera.baseline_alternation_adu == pytest.approx(1.5, abs=0.1)
+    assert found.camera.electrons_per_adu == pytest.approx(0.8, rel=0.03)
+
+
+def test_maps_of_a_cmos_sensor():
+    rng = np.random.default_rng(1)
+    offsets, variances = rng.normal(0, 4, (64, 64)), 4.0 * rng.gamma(2, 1, (64, 64))
+    model = camera_with(
+        "CMOS", cmos_gain_curve=((0, 0), (1, 1)), offset_map_adu=offsets, variance_map_e2=variances,
+    )  # fmt: skip
+    found = calibrate(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 100, seed=1), camera_type="CMOS")
+    assert np.corrcoef(found.camera.offset_map_adu.ravel(), offsets.ravel())[0, 1] > 0.98
+    assert np.corrcoef(found.camera.variance_map_e2.ravel(), variances.ravel())[0, 1] > 0.95
+
+
+def test_saturation_is_seen():
+    model = camera_with("CCD", adc_max=300).with_values({"optics.background_photons_per_px": 80})
+    found = calibrate(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), camera_type="CCD")
+    assert found.saturation_adu == 300 == found.camera.adc_max

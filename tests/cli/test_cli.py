@@ -38,6 +38,7 @@ VERBS = {
     "diagnose": {"--model", "--dark", "--out", "--seed"},
     "refine": {"--model", "--add", "--out"},
     "calibrate": {"--dark", "--out"},
+    "propose": {"--dark", "--out"},
     "design": {"--model"},
     "presets": set(),
 }  # fmt: skip
@@ -170,9 +171,7 @@ def test_positions_come_from_a_table_in_nm(cli, model_file, tmp_path):
 # --- denoise, traces, compare, calibrate, design -------------------------------------------------------------
 
 
-def test_denoised_photons_are_unbiased_and_nearer_to_the_light(cli, movie_file, model_file, tmp_path, monkeypatch):
-    from napari_mufasa.cli import measuring
-
+def test_denoised_photons_are_unbiased_and_nearer_to_the_light(cli, movie_file, model_file, tmp_path):
     assert cli("denoise", movie_file, "--model", model_file, "--out", tmp_path / "d.tif")[0] == 0
     photons = files.load(tmp_path / "d.tif")
     model = Model.from_json(model_file)
@@ -183,7 +182,6 @@ def test_denoised_photons_are_unbiased_and_nearer_to_the_light(cli, movie_file, 
     # 276 480 pixels with a sd of about 5 photons: the mean is known to 0.01; five of them.
     assert photons.mean() == pytest.approx(truth.mean(), abs=0.05)
 
-    monkeypatch.setattr(measuring, "IN_MEMORY_BYTES", 0)  # a movie too large for memory goes through a file
     assert cli("denoise", movie_file, "--model", model_file, "--out", tmp_path / "d.zarr")[0] == 0
     np.testing.assert_array_equal(files.load(tmp_path / "d.zarr"), photons)
     assert leftovers(tmp_path) == ["d.tif", "d.zarr"]

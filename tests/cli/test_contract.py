@@ -175,7 +175,8 @@ def test_the_same_seed_gives_the_same_file_and_the_librarys_movie(cli, files, re
 def test_movies_of_other_seeds_have_other_identifiers(cli, files, tmp_path):
     identifiers = set()
     for seed in (1, 2):
-        cli("simulate", "--model", files / "model.json", "--frames", 2, "--seed", seed, "--out", tmp_path / "m.ome.tif")
+        cli("simulate", "--model", files / "model.json", "--frames", 2, "--seed", seed, "--out", tmp_path / "m.ome.tif",
+            "--overwrite")  # fmt: skip
         with tifffile.TiffFile(tmp_path / "m.ome.tif") as file:
             identifiers.add(file.ome_metadata.split('UUID="')[1].split('"')[0])
     assert len(identifiers) == 2
@@ -194,8 +195,11 @@ def test_compare_traces_and_calibrate_write_the_named_files(cli, files, tmp_path
     )
     assert list(pd.read_csv(tmp_path / "traces.csv").columns) == ["molecule", "frame", "photoelectrons"]
     assert {"molecule", "y_px", "x_px", "kept", "reason"} <= set(pd.read_csv(tmp_path / "molecules.csv").columns)
-    # The folder is there already: only the files of the same name are replaced.
-    assert cli("compare", "--traces", tmp_path / "traces.csv", "--model", model, "--out", tmp_path)[0] == 0
+    # The folder is there already, and a figure of the same name: only that is replaced, and only when asked to.
+    again = ("compare", "--traces", tmp_path / "traces.csv", "--model", model, "--out", tmp_path)
+    code, err = cli(*again)
+    assert code == 2 and "traces.png" in err and "--overwrite" in err
+    assert cli(*again, "--overwrite")[0] == 0
     assert set(json.loads((tmp_path / "report.json").read_text())["w1"]) >= {
         "mufasa", "poisson", "sofi", "floor", "unit",
     }  # fmt: skip
@@ -254,7 +258,7 @@ def test_bad_dark_frames_are_told(model, dark):
 def test_calibration_refuses_what_no_camera_records(case):
     from napari_mufasa.calibrate.measure import calibrate
 
-    with pytest.raises(MufasaError, match="raw counts"):
+    with pytest.raises(MufasaError, match=r"raw counts|real numbers"):
         calibrate(MOVIES[case], FRAMES)
 
 

@@ -144,7 +144,7 @@ def test_the_package_is_also_the_function():
 @pytest.mark.parametrize(
     ("movie", "options", "message"),
     [
-        (np.zeros((2, 2, 2, 2)), {}, "dimensions"),
+        (np.zeros((2, 2, 2, 2)), {}, "4 axes"),
         (np.zeros((0, 4, 4)), {}, "empty"),
         (np.full((2, 8, 8), np.nan), {}, "not finite"),
         (np.zeros((2, 8, 8)), {"method": "magic"}, "pure-let-movie"),

@@ -1,21 +1,20 @@
-"""The conversation's bookkeeping: what is seen from where, and what is the user's own."""
+"""The conversation: what is taken up, taken out and exchanged, what is told of it, and what is the user's own."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover import automatic, contest, reporting
+from napari_mufasa.discover import reporting
+from napari_mufasa.discover.automatic import play
 from napari_mufasa.discover.coordinates import Coordinate, model_at
-from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.investigation import SECOND, SECOND_SHARE, Investigation
+from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.nuisance import nuisances
-from napari_mufasa.discover.state import SCALES, Lead, Ray
 from napari_mufasa.effects import effect_class
 
-KINDS = ["laser_drift", "row_noise", "background_gradient"]
+KINDS = ["laser_drift", "row_noise", "background_gradient", "photobleaching"]
+MISSING = {"laser_drift", "row_noise", "background_gradient"}
 
 
 def small():
@@ -24,8 +23,7 @@ def small():
     )
 
 
-@pytest.fixture(scope="module")
-def inquiry():
+def investigation(budget=None):
     """Three strong effects are missing: far from the floor after any one of them."""
     model = small()
     strong = [
@@ -34,117 +32,100 @@ def inquiry():
         effect_class("background_gradient")(relative_height=1.5, direction_deg=30.0),
     ]
     truth = model.model_copy(update={"effects": tuple(strong)})
-    return Investigation(nm.simulate(truth, seed=5).movie, model, nm.simulate_dark(truth, 20, 6), seed=2, effects=KINDS)
+    movie, dark = nm.simulate(truth, seed=5).movie, nm.simulate_dark(truth, 20, 6)
+    return Investigation(movie, model, dark, seed=2, effects=KINDS, budget=budget)
 
 
-def test_far_from_the_floor_the_neighbourhood_is_simulated_anew_and_undo_goes_back(inquiry):
-    before, first = inquiry.state.held_out_error(inquiry.x), inquiry.library
-    inquiry.add("laser_drift")
-    near, gained = inquiry.state, inquiry.explained
-    assert near.far_off(inquiry.x) and inquiry.library is first
-    inquiry.approach()
-    assert inquiry.library is not first and "laser_drift.change" in inquiry.state.free
-    assert set(inquiry.library.rays) == {"row_noise", "background_gradient"}
-    here = inquiry.library
-    inquiry.approach()
-    assert inquiry.library is here  # once is enough
-    inquiry.add("row_noise")
-    assert inquiry.chosen == ["laser_drift", "row_noise"]
-    inquiry.add("background_gradient")
-    assert inquiry.state.held_out_error(inquiry.x) < 1.5 * inquiry.state.floor  # nothing else is missing
-    assert {e.kind for e in inquiry.model.effects} == set(KINDS) and inquiry.explained > gained > 0
+@pytest.fixture(scope="module")
+def inquiry():
+    inquiry = investigation()
+    inquiry.examine()
+    return inquiry
+
+
+@pytest.fixture(scope="module")
+def played():
+    return play(investigation(), None)
+
+
+def test_three_effects_are_found_together_and_their_error_ends_at_its_floor(played):
+    assert set(played.chosen) == MISSING and played.verdict == "missing_effect"
+    assert played.error["after"] < 1.25 * played.error["floor"] < 0.3 * played.error["before"]
+    found = {effect.kind: effect for effect in played.model.effects}
+    assert found["row_noise"].rms_adu == pytest.approx(12.0, rel=0.15)
+    assert found["laser_drift"].change == pytest.approx(-0.5, rel=0.2)
+
+
+def test_the_report_says_how_sure_it_is_and_what_each_effect_is_worth(played):
+    data = played.to_dict()
+    assert set(data) >= {"inclusion", "alternatives", "explained", "credibility", "remaining", "simulations"}
+    assert set(played.inclusion) == MISSING and min(played.inclusion.values()) > 0.95
+    assert played.explained > 0.97 and played.credibility["before"] > 10 > 2 > played.credibility["after"] >= 1
+    assert [step["added"] for step in played.history[1:]] == played.chosen
+    assert played.history[0]["error"] == played.error["before"] > 2 * played.error["after"]
+    assert played.history[-1]["error"] == played.error["after"]
+    assert {candidate.effect for candidate in played.ranking[:3]} == MISSING
+    assert all(c.evidence > 5 * played.evidence_needed and c.parameters_sd for c in played.ranking[:3])
+    assert played.simulations["spent"] < played.simulations["budget"]
+    off = played.observables[played.observables.z_after.abs() > 3]
+    assert [r["observable"] for r in played.remaining] == list(off.sort_values("z_after", key=abs)[::-1].observable)
+
+
+def test_a_spent_budget_ends_the_search_and_is_told():
+    """Enough for the neighbourhood and for one effect at most; then what is known is told."""
+    inquiry = investigation(budget=330)
+    report = play(inquiry, None)
+    assert report.simulations["spent"] < 330 + reporting.CURVE_SIMULATIONS * 2 + 120  # the neighbourhood counts whole
+    assert len(report.chosen) < 3 and any("budget of 330 simulations" in note for note in report.notes)
+
+
+def test_effects_are_added_together_taken_out_singly_and_undone(inquiry):
+    before = inquiry.stand.error
+    inquiry.add("laser_drift", "row_noise")
+    assert inquiry.chosen == ["laser_drift", "row_noise"] and inquiry.stand.error < before
+    assert set(inquiry.stand.library.rays) == {"background_gradient", "photobleaching"}
+    both = inquiry.stand
+    inquiry.remove("laser_drift")
+    assert inquiry.chosen == ["row_noise"] and inquiry.stand.error > both.error
+    assert {effect.kind for effect in inquiry.model.effects} == {"row_noise"}
+    with pytest.raises(nm.MufasaError, match="laser_drift was not added: row_noise can be taken out"):
+        inquiry.remove("laser_drift")
     inquiry.undo()
+    assert inquiry.stand is both
     inquiry.undo()
-    assert inquiry.library is here and inquiry.explained == gained
-    inquiry.undo()
-    assert inquiry.library is first and inquiry.state.held_out_error(inquiry.x) == before and inquiry.explained == 0
-
-
-def test_a_further_effect_must_stand_out_only_from_what_the_first_ones_moved(inquiry):
-    inquiry.add("laser_drift")
-    try:
-        by_drift = np.abs(inquiry.state.mean - inquiry.first_view.state.mean)[0] / inquiry.first_view.state.spread[0]
-
-        def needed(observable):
-            shift = np.zeros_like(inquiry.x)
-            shift[:, observable] = inquiry.state.spread[0, observable]
-            return inquiry.needed(Lead(1.0, Ray(effect_class("row_noise")(), shift), 1.0))
-
-        elsewhere, on_the_same = needed(np.argmin(by_drift)), needed(np.argmax(by_drift))
-        assert elsewhere == pytest.approx(inquiry.null.evidence.at(SECOND), rel=0.01)
-        assert on_the_same == pytest.approx(SECOND_SHARE * inquiry.explained, rel=0.01) and on_the_same > 2 * elsewhere
-    finally:
+    assert inquiry.chosen == [] and inquiry.stand.error == before
+    with pytest.raises(nm.MufasaError, match="nothing to undo"):
         inquiry.undo()
 
 
+def test_no_more_than_so_many_effects_are_added():
+    report = play(investigation(), 1)
+    assert len(report.chosen) == 1 and report.verdict == "unexplained"
+
+
 @pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])
-def test_what_stood_in_for_something_else_is_exchanged_once_a_second_effect_is_there(first):
+def test_what_stands_in_for_something_else_is_exchanged(first):
     """Falling light lets the spots fade as bleaching does, and the background, too."""
     model = small()
     truth = model.with_effects(effect_class("laser_drift")(change=-0.4), effect_class("row_noise")(rms_adu=12.0))
-    kinds = ["laser_drift", "photobleaching", "row_noise"]
-    movie = nm.simulate(truth, seed=5).movie
+    movie, kinds = nm.simulate(truth, seed=5).movie, ["laser_drift", "photobleaching", "row_noise"]
     inquiry = Investigation(movie, model, nm.simulate_dark(truth, 20, 6), seed=2, effects=kinds)
-    inquiry.rank()
-    inquiry.add(first)
-    inquiry.add("row_noise")
-    explained, error = inquiry.explained, inquiry.state.held_out_error(inquiry.x)
-    inquiry.reconsider()
-    if first == "laser_drift":
-        assert inquiry.chosen == ["laser_drift", "row_noise"] and inquiry.explained == explained
-        return
-    assert inquiry.chosen == ["row_noise", "laser_drift"] and inquiry.explained > explained
-    assert inquiry.state.held_out_error(inquiry.x) < error
-    assert {e.kind for e in inquiry.model.effects} == {"row_noise", "laser_drift"}
-    inquiry.undo()
-    assert inquiry.chosen == ["row_noise"] and {e.kind for e in inquiry.model.effects} == {"row_noise"}
-
-
-@pytest.mark.parametrize(("is_some", "improves"), [(True, True), (False, True), (True, False)])
-def test_an_effect_that_is_none_or_does_not_help_once_it_is_settled_is_taken_out_again(is_some, improves):
-    steps = []
-    inquiry = SimpleNamespace(
-        state="before",
-        fits=[SimpleNamespace(is_some=is_some)],
-        add=lambda candidate: steps.append("add"),
-        undo=lambda: steps.append("undo"),
-        improves=lambda before, after, candidate: improves and before == "before",
-    )
-    kept = is_some and improves
-    assert automatic._holds(inquiry, "candidate") is kept
-    assert steps == (["add"] if kept else ["add", "undo"])
+    inquiry.add(first, "row_noise")
+    error = inquiry.stand.error
+    exchanged = inquiry.exchange()
+    assert set(inquiry.chosen) == {"row_noise", "laser_drift"}
+    assert exchanged or first == "laser_drift"
+    assert inquiry.stand.error < error if first == "photobleaching" else inquiry.stand.error <= error
 
 
 @pytest.mark.parametrize(("p_misfit", "verdict"), [(0.5, "adequate"), (1e-4, "unexplained")])
-def test_an_effect_refuted_once_it_is_settled_is_no_reason_to_call_it_missing(inquiry, monkeypatch, p_misfit, verdict):
-    inquiry.rank()
-    best = inquiry.ranking[0]
-    assert inquiry.convincing(best) and reporting.verdict_of(inquiry, [], 1.0) == "missing_effect"
-    none_of_it = {effect_class(best.effect).strength: np.inf}
-    monkeypatch.setattr(contest.Contest, "settled", lambda self, found: replace(found, sd=none_of_it))
-    monkeypatch.setattr(type(inquiry.null.misfit), "p", lambda tail, value: p_misfit)
-    monkeypatch.setattr(inquiry, "alarmed", lambda: True)
-    assert not automatic._holds(inquiry, best)
-    again = next(candidate for candidate in inquiry.ranking if candidate.effect == best.effect)
-    assert not inquiry.convincing(again)
-    inquiry.ranking = [again]
-    assert reporting.verdict_of(inquiry, [], 1.0) == verdict
-
-
-def test_a_form_simulated_too_weakly_has_its_turn(monkeypatch):
-    forms = {form: effect_class("pixel_gain_variation")(form=form) for form in ("pixels", "dull_pixels", "columns")}
-    promised = [("pixels", 1000.0, 1.0), ("dull_pixels", 100.0, max(SCALES)), ("columns", 100.0, 0.7)]
-    leads = [Lead(gain, Ray(forms[form], np.zeros((3, 1))), scale) for form, gain, scale in promised]
-    state = SimpleNamespace(screen=lambda x, rays: {"pixel_gain_variation": leads})
-    library = SimpleNamespace(rays={"pixel_gain_variation": []}, bench=SimpleNamespace(plan=lambda n: None))
-    tried = []
-    monkeypatch.setattr(contest.Contest, "_content", lambda self, found: False)
-    monkeypatch.setattr(contest.Contest, "evidence", lambda self, found: 1000.0)
-    monkeypatch.setattr(contest.Contest, "_closest", lambda self, fits: fits[0])
-    monkeypatch.setattr(contest.fit, "fit_if_promising", lambda lib, st, start, x, least: tried.append(start))
-    ring = contest.Contest(library, state, None, lambda: None)
-    ring._best_form(SimpleNamespace(effect=forms["pixels"]))
-    assert [start.form_name for start in tried] == ["dull_pixels"]  # a tenth of the best, but its ray ended there
+def test_an_alarm_that_no_fit_confirms_is_chance_unless_the_whole_misfit_is_not(p_misfit, verdict):
+    null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_misfit))
+    stand = SimpleNamespace(added=(), null=null, misfit=100.0, needed=20.0, error=1.5)
+    tried = SimpleNamespace(evidence=10.0, error_after=1.2)
+    assert reporting.verdict_of(SimpleNamespace(first=stand, stand=stand, ranking=[tried])) == verdict
+    tried.evidence = 30.0  # more than chance brings, and the error falls: that is what is missing
+    assert reporting.verdict_of(SimpleNamespace(first=stand, stand=stand, ranking=[tried])) == "missing_effect"
 
 
 @pytest.mark.parametrize(
@@ -161,8 +142,9 @@ def test_what_is_left_beyond_chance_is_unexplained_as_a_whole_or_in_one_observab
     seen = SimpleNamespace(soft=np.append(np.zeros(110), farthest))
     state = SimpleNamespace(adjusted=lambda x: seen, misfit=lambda x: 100.0, measurable=np.ones(111, dtype=bool))
     null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_left))
-    inquiry = SimpleNamespace(chosen=["stage_drift"], state=state, null=null, x=None)
-    assert reporting.verdict_of(inquiry, [5.0, after], 1.0) == verdict
+    state.floor = 1.0
+    stand = SimpleNamespace(added=("stage_drift",), state=state, null=null, x=None, misfit=100.0, error=after)
+    assert reporting.verdict_of(SimpleNamespace(first=SimpleNamespace(error=5.0), stand=stand)) == verdict
 
 
 def test_an_effect_of_the_model_believed_is_not_added_again(inquiry):
@@ -197,71 +179,3 @@ def test_a_step_at_the_end_of_a_range_goes_inward():
 def test_an_effect_that_is_off_has_no_free_strength():
     off = effect_class("photobleaching")(rate_per_s=0.0)
     assert Coordinate.of(off, nm.preset("FF")) == []
-
-
-def fits_of(forms, scores, errors=(1.0, 1.0, 1.0)):
-    drift = effect_class("laser_drift")
-    states = [SimpleNamespace(held_out_error=lambda x, error=error: error) for error in errors]
-    return [Fit(state, drift(form=f), {}, score, 0.0) for f, score, state in zip(forms, scores, states, strict=True)]
-
-
-@pytest.fixture
-def choice(monkeypatch):
-    """A contest whose fits are known; scores after more simulations come from the test."""
-    after, judged = {}, []
-
-    def judge_again(library, close, x):
-        judged.extend(found.effect.form for found in close)
-        return [replace(found, score=after.get(found.effect.form, found.score)) for found in close]
-
-    monkeypatch.setattr(contest, "sharpened", judge_again)
-    nothing_known = SimpleNamespace(score=lambda x: 0.0)
-    return contest.Contest(None, nothing_known, np.zeros((3, 100)), None), after, judged
-
-
-def test_forms_that_come_close_are_judged_by_more_simulations_before_one_is_chosen(choice):
-    """What led by few simulations may lose to its rival by more; what is far behind is not looked at again."""
-    judge, after, judged = choice
-    fits = fits_of(("saturating", "wandering", "step"), (-714.0, -687.0, -300.0))
-    after |= {"saturating": -709.0, "wandering": -772.0, "step": -9999.0}
-    assert judge._closest(fits).effect.form == "wandering"
-    assert judged == ["saturating", "wandering"]
-    assert judge._closest([fits[0], fits[2]]) is fits[0] and judged == ["saturating", "wandering"]
-
-
-def test_of_close_forms_the_plain_one_stays_unless_another_is_clearly_better(choice):
-    judge, _, _ = choice
-    close = fits_of(("linear", "saturating", "wandering"), (-700.0, -710.0, -600.0))
-    assert judge._closest(close).effect.form == "linear"
-    clearly = fits_of(("linear", "saturating", "wandering"), (-700.0, -720.0, -600.0))
-    assert judge._closest(clearly).effect.form == "saturating"
-
-
-def test_of_close_forms_the_one_that_tells_the_other_half_of_the_field_is_chosen(choice):
-    """A pattern without the freedom of the real one: more likely for the whole field, far off for the other half."""
-    judge, _, _ = choice
-    forms = fits_of(("linear", "saturating", "wandering"), (-777.0, -799.0, -800.0), (1.09, 1.64, 1.5))
-    assert judge._closest(forms).effect.form == "linear"
-
-
-@pytest.mark.parametrize("evidence", [500.0, 5.0])
-def test_a_fit_that_explains_much_and_ends_at_no_strength_gives_the_other_forms_their_turn(monkeypatch, evidence):
-    """It went astray; where it explains no more than chance does, there is none of the effect."""
-    drift, fitted = effect_class("laser_drift"), []
-
-    def refine(library, state, starts, x, to_beat, promised=0.0):
-        fitted.append([start.form for start in starts])
-        astray = len(fitted) == 1
-        effect = drift(form=starts[0].form, change=0.01 if astray else 0.3)
-        return Fit(None, effect, {"change": 0.1}, -evidence if astray else -900.0, 0.0)
-
-    monkeypatch.setattr(contest.fit, "fit_if_promising", refine)
-    monkeypatch.setattr(Fit, "is_some", property(lambda found: abs(found.effect.change) > 0.1))
-    state = SimpleNamespace(score=lambda x: 0.0)
-    null = SimpleNamespace(evidence=SimpleNamespace(at=lambda p: 30.0))
-    leads = [Lead(1000.0, Ray(drift(form=form), None), 1.0) for form in ("saturating", "linear")]
-    found = contest.Contest(None, state, np.zeros((3, 100)), lambda: null)._tried(leads, 0.0)
-    if evidence > 30.0:
-        assert fitted == [["saturating", "linear"], ["linear"]] and found.effect.form == "linear"
-    else:
-        assert len(fitted) == 1 and not found.is_some

@@ -8,7 +8,8 @@ import napari_mufasa as nm
 from napari_mufasa.discover.library import build
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
-from napari_mufasa.discover.null import ALARM, MISFIT_ALARM, Null
+from napari_mufasa.discover.null import Null
+from napari_mufasa.discover.rules import ALARM, MISFIT_ALARM
 
 KINDS = ["laser_drift", "row_noise", "background_gradient", "photobleaching", "stage_drift"]
 MOVIES = 200

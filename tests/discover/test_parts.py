@@ -356,7 +356,7 @@ def test_preparation_crops_large_movies_and_says_so():
         (np.ones((50, 48, 48), np.uint16), "nothing was recorded"),
         (np.full((50, 48, 48), np.nan), "not numbers"),
         (np.full((50, 48, 48), -3.0), "raw counts"),
-        (np.full((50, 48, 48), "a"), "needs counts"),
+        (np.full((50, 48, 48), "a"), "needs real numbers"),
     ],
 )
 def test_unusable_movies_are_refused_in_one_line(movie, message):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_dark
-from napari_mufasa.effects.readout import along_rows, code_begins, row_kernel
+from napari_mufasa.camera.readout import along_rows, code_begins, row_kernel
 
 from .helpers import ccd, cmos, effect, plain, scene_of
 

@@ -11,6 +11,7 @@ PACKAGE = "napari_mufasa"
 #: package (`__init__`, which gives the public names, and `__main__`) stands above all.
 FLOORS = (
     ("errors",),
+    ("checks", "provenance"),
     ("chance",),
     ("files",),
     ("model",),
@@ -21,7 +22,7 @@ FLOORS = (
     ("spots",),
     ("traces",),
     ("observe", "calibrate"),
-    ("denoise", "compare"),
+    ("denoise", "compare", "propose"),
     ("design",),
     ("discover",),
     ("report",),

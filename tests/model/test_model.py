@@ -122,7 +122,7 @@ def test_psf_width_in_pixels():
         ("acquisition.shape_px", [0, 96], ["acquisition.shape_px.0 = 0", "greater than or equal to 1"]),
         ("effects.0.distance_px", -1, ["effects.0.distance_px = -1", "≥ 0", "px"]),
         # wrong type
-        ("optics.psf_fwhm_nm", "wide", ["optics.psf_fwhm_nm = 'wide'", "valid number", "nm"]),
+        ("optics.psf_fwhm_nm", "wide", ["optics.psf_fwhm_nm = 'wide'", "a number, without quotes", "nm"]),
         ("acquisition.n_frames", 2.5, ["acquisition.n_frames = 2.5", "integer"]),
         ("camera", 5, ["camera = 5", "Camera"]),
         ("effects", 5, ["effects = 5"]),

@@ -77,6 +77,13 @@ def test_every_control_has_a_name_and_is_reached_by_tab(workflow, name):
     assert set(operated) <= chain
 
 
+def test_the_dock_is_as_wide_as_the_step_that_is_shown(workflow, qtbot):
+    for number, name in enumerate(STEPS):
+        workflow.show_step(number)
+        panel, scrolled = workflow.step(name), workflow.stack.widget(number)
+        qtbot.waitUntil(lambda p=panel, s=scrolled: p.width() <= s.viewport().width(), timeout=5000)  # else it is cut
+
+
 def test_keys_change_the_step_and_run_it(workflow, qtbot):
     workflow.show_step(0)
     # Keys go to a window that is active, and without a window manager it takes a while to be.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa.compare.quick import quick_distance, thinned
-from napari_mufasa.widgets.turns.latest import Latest
+from napari_mufasa.widgets.turns.jobs import Latest
 from napari_mufasa.widgets.turns.live import live_of
 from napari_mufasa.widgets.turns.session import session_of
 
@@ -91,7 +91,7 @@ def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot
     live.changed.connect(lambda: seen.append(live.distance.w1))
     settle(live, qtbot)
     assert session.model.excitation.power_density_w_per_cm2 == 34
-    assert live.distance.w1 == quick_distance(session.results["traces"], session.model).w1  # of the last value typed
+    assert live.distance.w1 == quick_distance(session.traces, session.model).w1  # of the last value typed
     assert live.distance.w1 > 1.5 * true.w1
     assert f"{live.distance.w1:.2f}" in model.live.text()
     assert set(seen) == {live.distance.w1}
@@ -106,7 +106,7 @@ def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot
     assert f"{live.distance.w1:.2f}" in compare.live_line.text()
     assert set(compare.live.data.columns) == {"signal per frame (photoelectrons)", "measured", "mufasa"}
     assert np.allclose(compare.live.data["measured"].sum(), compare.live.data["mufasa"].sum(), rtol=0.05)
-    qtbot.waitUntil(lambda: not compare.live.busy and compare.live.picture.image is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: not compare.live.busy and not compare.live.picture.pixmap().isNull(), timeout=20_000)
 
 
 def test_thinned_traces_are_few_and_tell_nearly_the_same_distance():

@@ -54,7 +54,7 @@ def test_reader_restores_the_model_and_stays_lazy(tmp_path, viewer, bright_model
         files.write_movie(path, [bright_movie.movie], bright_movie.movie.shape, np.uint16, model=bright_model, seed=3)
         (layer,) = viewer.open(str(path), plugin="napari-mufasa")
         stored = layer.metadata["napari_mufasa"]
-        assert stored == {"model": bright_model.to_dict(), "seed": 3}
+        assert stored["model"] == bright_model.to_dict() and stored["seed"] == 3
         assert not isinstance(layer.data, np.ndarray)
         assert np.array_equal(np.asarray(layer.data), bright_movie.movie)
         assert layer.scale[-1] == pytest.approx(0.1)
@@ -95,6 +95,14 @@ def test_samples_open_with_their_model(viewer, key):
     # A sample shows molecules: most of them are found.
     found = extract_traces(layer.data, Model.from_dict(model).camera).molecules
     assert len(found) > model["sample"]["n_molecules"] / 2
+
+
+def test_the_samples_of_step_data_are_those_that_napari_lists(manifest):
+    from napari_mufasa.samples import SAMPLES
+
+    makers = {command.id: command.python_name for command in manifest.contributions.commands}
+    listed = {sample.key: makers[sample.command] for sample in manifest.contributions.sample_data}
+    assert listed == {key: f"napari_mufasa.samples:{make.__name__}" for key, (_, make) in SAMPLES.items()}
 
 
 def test_samples_dark_frames_are_taken_and_never_the_movie(viewer):

@@ -65,12 +65,12 @@ def test_wrong_value_is_told_and_not_taken(viewer, open_panel):
     before = session_of(viewer).model
     type_into(panel.parts["acquisition"].form["frame_length_s"], "-3")
     assert session_of(viewer).model == before
-    assert "frame_length_s" in panel.parts["acquisition"].problem.text()
+    assert "frame_length_s" in panel.parts["acquisition"].form.problem.text()
     type_into(panel.parts["acquisition"].form["frame_length_s"], "soon")
     assert session_of(viewer).model == before
     type_into(panel.parts["acquisition"].form["frame_length_s"], "0.05")
     assert session_of(viewer).model.acquisition.frame_length_s == 0.05
-    assert panel.parts["acquisition"].problem.isHidden()
+    assert panel.parts["acquisition"].form.problem.isHidden()
 
 
 def test_denoise_gives_what_the_function_gives(with_movie, open_panel, run, bright_model, bright_movie):
@@ -181,7 +181,7 @@ def test_missing_movie_is_a_notification_with_the_remedy(viewer, open_panel):
 def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
     panel = open_panel(ModelPanel, viewer)
     session = session_of(viewer)
-    panel.source.choose("FF")
+    panel.source.value = "FF"
     assert "6725" in panel.derived.text()  # docs/photophysics.md: k01 = 6 724.90 per second
     panel.effects.kinds.value = "stage_drift"
     panel.effects.add_button.click()
@@ -205,10 +205,16 @@ def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
     assert "13450" in panel.derived.text()
 
 
+def test_a_model_that_is_in_no_list_is_named_in_a_step_made_later(viewer, open_panel, bright_model):
+    session_of(viewer).set_model(bright_model, "mine.json")
+    source = open_panel(MoleculesPanel, viewer).form.model.source.native
+    assert source.currentIndex() == -1 and source.placeholderText() == "mine.json"
+
+
 def test_camera_type_brings_or_takes_the_em_gain(viewer, open_panel):
     panel = open_panel(ModelPanel, viewer)
     session = session_of(viewer)
-    panel.source.choose("PALM")
+    panel.source.value = "PALM"
     kind = panel.parts["camera"].form["type"]
     pick(kind, "EMCCD")
     assert session.model.camera.em_gain == 300

@@ -61,7 +61,7 @@ def test_real_movie_gives_its_molecules(viewer, run, qtbot):
         workflow.step("Data").open_movie(str(movie))
     layer = session_of(viewer).movie_layer
     assert not isinstance(layer.data, np.ndarray)  # stays on disk
-    workflow.step("Model").source.open_file(str(MODEL))
+    workflow.step("Model").source.value = MODEL
     assert session_of(viewer).model.camera.em_gain == 300
     workflow.step("Data").use_scale.click()
     assert layer.scale[-1] == pytest.approx(0.16)

@@ -1,85 +1,170 @@
-"""What frames without light tell: baseline, read noise, the tail of spurious electrons."""
+"""What frames without light tell: baseline, read noise, spurious electrons, and what the read-out does to both."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.calibrate.value import Value
+from napari_mufasa.calibrate import histogram
+from napari_mufasa.calibrate.histogram import Fit
+from napari_mufasa.calibrate.law import Law
+from napari_mufasa.calibrate.rows import Correlations, correlations
+from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
 from napari_mufasa.errors import MufasaError
 
 TAIL_SD = 5.0
+LEAST_FRAMES = 5  # for what needs each pixel's own mean
+SURE = 3.5  # standard errors from which on an alternation is believed
+GOOD = 0.01  # p-value of a normal law from which on no tail is looked for
+MOST_CHARGE_E = 0.5  # spurious electrons per pixel and frame above which they are no separate tail
+LEAST_TAIL = 12.0  # twice the gain in log likelihood that a tail must bring (false alarm about 1e-3)
 
 
-def counts(data: Any, what: str) -> NDArray[Any]:
-    """Raw counts; raises `MufasaError` for what no camera records."""
-    counts: NDArray[Any] = np.asarray(data)
-    if counts.dtype.kind not in "uif" or not np.isfinite(counts).all() or (counts.size and counts.min() < 0):
-        raise MufasaError(f"{what} hold values that are negative or no numbers: give the raw counts (ADU)")
-    return counts
+@dataclass(frozen=True)
+class Dark:
+    """Of dark frames.
+
+    Attributes
+    ----------
+    baseline, read_noise, alternation, jitter : ADU; the baseline is BL of docs/camera.md: ½ above the recorded mean,
+        spurious electrons taken off
+    charge : electrons per pixel and frame, `gain` : ADU that one of them makes, both from the tail
+    tail_share : share of counts more than 5 sd above the baseline
+    variance : of a pixel in time, ADU², all of it
+    rows : correlations of neighbours, None where frames are too few
+    fit : the law against the histogram, None where frames are too few
+    pixels : (y, x) of a map that is used below: mean, and variance in time (ADU², None where frames are too few)
+    """
+
+    baseline: Value
+    read_noise: Value
+    charge: Value
+    gain: Value
+    alternation: Value
+    jitter: Value
+    tail_share: float
+    variance: float
+    rows: Correlations | None
+    fit: Fit | None
+    mean_map: NDArray[np.float64]
+    variance_map: NDArray[np.float64] | None
 
 
-def leading_dark_frames(movie: Any) -> int:
-    """How many frames at the beginning are dark: before a sudden, lasting rise of the mean; 0 if none."""
-    n = int(movie.shape[0])
-    step = max(1, int(np.sqrt(movie.shape[1] * movie.shape[2] / 4096)))
-    level = np.array([float(np.mean(np.asarray(movie[i])[::step, ::step])) for i in range(min(n, 500))])
-    if len(level) < 8:
-        return 0
-    jumps = np.diff(level)
-    at = int(np.argmax(jumps))
-    before, after = level[: at + 1], level[at + 1 :]
-    if len(before) < 3 or len(after) < 3:
-        return 0
-    usual = max(float(np.std(before)), 1e-9)
-    # The first lit frame may be lit in part; the dark ones are alike and all below all lit ones.
-    return at + 1 if before.max() + 10 * usual < after.min() else 0
+def checked_dark(dark: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Dark frames (frame, y, x); raises `MufasaError` where they do not fit the movie."""
+    from napari_mufasa.calibrate.sample import counts
+
+    found = counts(dark, "dark frames").astype(np.float64)
+    if found.ndim != 3 or found.shape[1:] != tuple(shape):
+        raise MufasaError(f"dark has shape {found.shape}, the movie's frames are {tuple(shape)}: give the same region")
+    if found.size == 0:
+        raise MufasaError(f"dark has shape {found.shape}: give at least one dark frame, better 50")
+    return found
 
 
-def dark_frames(
-    dark: Any, baseline: float | None, read_noise: float | None, shape: tuple[int, ...], notes: list[str]
-) -> tuple[Value, Value, float, NDArray[np.float64] | None]:
-    """Baseline (BL of docs/camera.md, half a count above the recorded mean), read noise, tail, dark values."""
-    nan = float("nan")
-    if dark is None:
-        base = Value(nan if baseline is None else float(baseline), nan)
-        read = Value(0.0 if read_noise is None else float(read_noise), nan)
-        if baseline is None:
-            notes.append(f"no dark frames: read noise taken as {read.value:g} ADU, baseline from the variance")
-        return base, read, nan, None
-    dark = counts(dark, "dark frames").astype(np.float64)
-    if np.ndim(dark) != 3 or dark.shape[1:] != tuple(shape):
-        raise MufasaError(f"dark has shape {dark.shape}, the movie's frames are {tuple(shape)}: give the same region")
-    if dark.size == 0:
-        raise MufasaError(f"dark has shape {dark.shape}: give at least one dark frame, better 50")
-    pixel = np.median(dark, axis=0) if len(dark) > 4 else np.full(shape, np.median(dark))
-    values = (dark - pixel).ravel()
-    # Whole counts make the median deviation coarse: a random part of a count smooths it, and is taken off again.
-    smooth = values + np.random.default_rng(0).uniform(-0.5, 0.5, values.size)
-    sd = np.sqrt(max(float(1.4826 * np.median(np.abs(smooth))) ** 2 - 1 / 12, 0.0))
-    sd *= np.sqrt(len(dark) / max(len(dark) - 1.57, 1.0)) if len(dark) > 4 else 1.0  # the median took its part
-    core = values[np.abs(values) < TAIL_SD * max(sd, 0.5)]
-    # Each frame's own offset (it wanders together) is the uncertainty of the mean, not the number of pixels.
-    per_frame = np.array([np.mean(f[np.abs(f - np.median(f)) < TAIL_SD * max(sd, 0.5)]) for f in dark])
-    base = Value(
-        float(baseline) if baseline is not None else float(per_frame.mean()) + 0.5,
-        float(per_frame.std() / np.sqrt(len(per_frame))) if len(per_frame) > 1 else nan,
+def measure_dark(
+    dark: NDArray[np.float64], register: bool, pixels: NDArray[np.bool_] | None = None, charge_e: float | None = None,
+    weights: tuple[float, ...] = (1.0,),
+) -> Dark:  # fmt: skip
+    """Everything that dark frames (frame, y, x) tell; `pixels` (y, x): only there.
+
+    register : the camera multiplies, so that single electrons show
+    charge_e : spurious electrons are not measured but taken so (0: none)
+    weights : what the read-out makes of an electron (see `Law`)
+    """
+    n = len(dark)
+    mask = np.ones(dark.shape[1:], dtype=bool) if pixels is None else pixels
+    per_frame = dark[:, mask].mean(axis=1)
+    mean_map = dark.mean(axis=0)
+    if n < LEAST_FRAMES:
+        return _few(dark[:, mask], per_frame, mean_map)
+    flat = dark - per_frame[:, None, None]
+    rows = correlations(flat - flat.mean(axis=0), mask, (1.0,))
+    variance = rows.variance * n / (n - 1)
+    alternation, jitter = _frames(per_frame, variance, int(mask.sum()), rows)
+    fit, read = _law(flat[:, mask][:, None, :], register, charge_e, weights)
+    gain = fit.values.get("adu_per_electron", UNKNOWN)
+    charge = fit.values.get("charge_e", UNKNOWN if charge_e is None else Value(charge_e, 0.0))
+    own = per_frame - alternation.value * (1 - 2 * (np.arange(n) % 2))
+    electrons = fit.law.charge_e * fit.law.adu_per_electron
+    doubt = np.hypot(own.std(ddof=1) / np.sqrt(n), charge.sd * fit.law.adu_per_electron if charge.sd > 0 else 0.0)
+    from scipy import stats
+
+    reach = float(stats.t.ppf(0.975, n - 1)) / NORMAL
+    centre = float(per_frame.mean()) + 0.5 - electrons
+    baseline = Value(centre, float(doubt), centre - NORMAL * reach * doubt, centre + NORMAL * reach * doubt)
+    core = max(read.value, 0.5)
+    tail = float(np.mean(flat[:, mask] - np.median(flat[:, mask]) > TAIL_SD * core))
+    variance_map = np.var(flat, axis=0, ddof=1)
+    return Dark(
+        baseline, read, charge, gain, alternation, jitter, tail, variance, rows, fit, mean_map, variance_map
+    )  # fmt: skip
+
+
+def _few(values: NDArray[np.float64], per_frame: NDArray[np.float64], mean_map: NDArray[np.float64]) -> Dark:
+    """One frame to four: the spread over pixels stands for the read noise, the pattern included."""
+    about = values - per_frame[:, None]
+    sd = 1.4826 * float(np.median(np.abs(about)))
+    share = float(np.mean(about > TAIL_SD * max(sd, 0.5)))
+    centre = float(per_frame.mean()) + 0.5
+    doubt = float(np.hypot(sd / np.sqrt(values.size), per_frame.std() / np.sqrt(len(per_frame))))
+    read = Value(sd, sd / np.sqrt(values.size))
+    return Dark(
+        Value(centre, doubt), read, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, share, sd**2, None, None, mean_map, None
+    )  # fmt: skip
+
+
+def _frames(per_frame: NDArray[np.float64], variance: float, n_pixels: int, rows: Correlations) -> tuple[Value, Value]:
+    """How far the baseline alternates between even and odd frames, and how far it jitters beside that."""
+    n = len(per_frame)
+    sign = 1.0 - 2.0 * (np.arange(n) % 2)
+    about = per_frame - per_frame.mean()
+    alternation = float(np.sum(about * sign) / n)
+    left = about - alternation * sign
+    sd = float(left.std(ddof=2) / np.sqrt(n))
+    kept = alternation if abs(alternation) > SURE * sd else 0.0
+    own = variance / n_pixels * max(1 + 2 * float(np.sum(rows.kernel)), 0.1)
+    spread = float(np.sum((about - kept * sign) ** 2) / (n - 1 - (kept != 0)))
+    doubt = spread * np.sqrt(2 / (n - 1))
+    high = float(np.sqrt(max(spread + NORMAL * doubt - own, 0.0)))
+    low = float(np.sqrt(max(spread - NORMAL * doubt - own, 0.0)))
+    jitter = float(np.sqrt(max(spread - own, 0.0))) if spread - own > 2 * doubt else 0.0
+    return Value(kept, sd), Value(jitter, (high - low) / (2 * NORMAL), low, high)
+
+
+def _law(
+    flat: NDArray[np.float64], register: bool, charge_e: float | None, weights: tuple[float, ...]
+) -> tuple[Fit, Value]:
+    """The law of the histogram, and the read noise."""
+    seen = histogram.of_dark(flat)
+    n = flat.size
+    grown = np.sqrt(len(flat) / (len(flat) - 1))  # the mean took its part
+    # By the left side alone: spurious electrons lie on the right.
+    left = float(np.median(flat) - np.percentile(flat, 15.87)) * grown
+    plain = histogram.fit("dark", seen, Law(1.0, 1.0, max(left, 0.3)), ("read_noise_adu",), 0.0)
+    rms = plain.values["read_noise_adu"]
+    if plain.p_value > GOOD or not register or charge_e == 0 or left <= 0:
+        return plain, rms
+    beyond = flat[flat > TAIL_SD * left]
+    gain = max(float(np.mean(beyond - TAIL_SD * left)) if len(beyond) else 0.0, left)
+    charge = max(charge_e or 0.0, len(beyond) / n * np.exp(TAIL_SD * left / gain), 1e-5)
+    start = Law(gain / max(weights), 2.0, left, charge, weights)
+    free = ("adu_per_electron", "read_noise_adu", "charge_e")
+    tailed = histogram.fit("dark", seen, start, free if charge_e is None else free[:2], 0.0)
+    clear = (
+        tailed.law.adu_per_electron * max(weights) > tailed.law.read_noise_adu and tailed.law.charge_e < MOST_CHARGE_E
     )
-    read = Value(
-        float(read_noise) if read_noise is not None else float(np.sqrt(max(sd**2 - 1 / 12, 0.0))),
-        float(sd / np.sqrt(2 * len(core))),
-    )
-    return base, read, float(np.mean(values > TAIL_SD * max(sd, 0.5))), values
+    if clear and 2 * (_likelihood(tailed) - _likelihood(plain)) > LEAST_TAIL:
+        return tailed, tailed.values["read_noise_adu"]
+    # Neither normal nor with a tail of single electrons: between the core and the rms.
+    core = np.sqrt(max(left**2 - 1 / 12, 0.0))
+    doubt = 1.3 * left / np.sqrt(n)
+    low, high = sorted((core - NORMAL * doubt, max(rms.interval[1], core + NORMAL * doubt)))
+    return plain, Value(float(core), float((high - low) / (2 * NORMAL)), float(low), float(high))
 
 
-def clock_induced(values: NDArray[np.float64] | None, base: float, read_noise: float, adu_per_electron: float) -> Value:
-    """Electrons per pixel from the tail: one spurious electron gives an exponential of mean one gain."""
-    nan = float("nan")
-    threshold = TAIL_SD * max(read_noise, 0.5)
-    if values is None or threshold > 3 * adu_per_electron:  # the tail of one electron hides in the read noise
-        return Value(nan, nan)
-    n = int(np.count_nonzero(values > threshold))
-    weight = np.exp(threshold / adu_per_electron) / values.size
-    return Value(float(n * weight), float(np.sqrt(max(n, 1)) * weight))
+def _likelihood(fit: Fit) -> float:
+    return float(np.sum(fit.histogram.seen * np.log(fit.expected)))

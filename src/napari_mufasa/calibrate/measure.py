@@ -1,67 +1,49 @@
-"""The camera from its own movies: baseline, read noise, digital counts per photoelectron (photon transfer).
+"""The camera from its own movies: what dark counts, the growth of variance with light, neighbours and histograms tell.
 
 At constant light the variance of a pixel in time grows with its mean: slope = F²·(ADU per photoelectron), with
 the excess noise factor F² = 2 for electron multiplication and 1 without (docs/camera.md). Differences of successive
-frames take slow changes of the light out of the variance; medians over pixels of like mean take blinking out.
+frames take slow changes of the light out of the variance; medians over pixels of like mean take blinking out. A
+read-out that mixes neighbours makes that slope wrong by the sum of the correlations it gives them; it is put right.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.calibrate.dark import clock_induced, dark_frames, leading_dark_frames
-from napari_mufasa.calibrate.transfer import curve, line, photon_transfer, slope_through_origin, steady_pixels
-from napari_mufasa.calibrate.value import Value
+from napari_mufasa import checks
+from napari_mufasa.calibrate import histogram, rows, transfer
+from napari_mufasa.calibrate.codes import code_widths, saturation_adu
+from napari_mufasa.calibrate.dark import Dark, checked_dark, measure_dark
+from napari_mufasa.calibrate.found import Calibration, Readout
+from napari_mufasa.calibrate.histogram import Fit
+from napari_mufasa.calibrate.instrument import camera_of
+from napari_mufasa.calibrate.law import Law
+from napari_mufasa.calibrate.sample import leading_dark_frames, lit_chunks, shadow
+from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
+from napari_mufasa.camera.darkness import light_in_dark
 from napari_mufasa.errors import MufasaError
 
-if TYPE_CHECKING:
-    from napari_mufasa.model.setup import Camera
-
+Array = NDArray[np.float64]
 CameraType = Literal["CCD", "EMCCD", "CMOS"]
+LARGEST_MISFIT = 0.006  # share of counts elsewhere than the law says, above which its shape tells no excess noise
+DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """What `calibrate` found.
+class Assumed:
+    """What is not measured but taken as given; None: measured (the excess noise: 2 for an EMCCD, 1 else)."""
 
-    Attributes
-    ----------
-    baseline_adu, read_noise_adu : from dark frames, or (baseline) where the variance vanishes
-    slope_adu : variance over signal, F²·ADU per photoelectron
-    adu_per_photoelectron : slope / excess_noise_factor
-    clock_induced_charge_e : electrons per pixel and frame from the tail of the dark frames (nan: unknown)
-    tail_fraction : share of dark pixels more than 5 sd above the baseline
-    camera : a `Camera` with these values; curve : photon transfer (mean − baseline, variance − dark) in ADU
-    notes : what was assumed
-    """
-
-    baseline_adu: Value
-    read_noise_adu: Value
-    slope_adu: Value
-    adu_per_photoelectron: Value
-    excess_noise_factor: float
-    clock_induced_charge_e: Value
-    tail_fraction: float
-    camera: Camera
-    curve: tuple[NDArray[np.float64], NDArray[np.float64]]
-    notes: list[str] = field(default_factory=list)
-
-    def report(self) -> dict[str, Any]:
-        """Plain data: every value with its standard error, the camera, the assumptions."""
-        names = ("baseline_adu", "read_noise_adu", "slope_adu", "adu_per_photoelectron", "clock_induced_charge_e")
-        return {
-            **{name: {"value": getattr(self, name).value, "sd": getattr(self, name).sd} for name in names},
-            "excess_noise_factor": self.excess_noise_factor,
-            "tail_fraction": self.tail_fraction,
-            "camera": self.camera.model_dump(mode="json"),
-            "curve": {"signal_adu": self.curve[0].tolist(), "variance_adu2": self.curve[1].tolist()},
-            "notes": self.notes,
-        }
+    excess_noise_factor: float | None = None
+    readout_kernel: tuple[float, ...] | None = None
+    clock_induced_charge_e: float | None = None
+    baseline_adu: float | None = None
+    read_noise_adu: float | None = None
 
 
 def calibrate(
@@ -73,6 +55,8 @@ def calibrate(
     electrons_per_adu: float | None = None,
     quantum_efficiency: float = 0.9,
     excess_noise_factor: float | None = None,
+    readout_kernel: Sequence[float] | None = None,
+    clock_induced_charge_e: float | None = None,
     baseline_adu: float | None = None,
     read_noise_adu: float | None = None,
     adc_max: int = 65535,
@@ -85,83 +69,305 @@ def calibrate(
     ----------
     movie : (frame, y, x) ADU under light that is steady from frame to frame
     dark : (frame, y, x) frames without light; without them dark frames at the movie's beginning are looked
-        for, and failing that the baseline is where the fitted variance vanishes (then it is a lower bound:
-        read noise is taken as `read_noise_adu` or 0)
+        for, then a part of the chip in shadow, and failing that the baseline is where the fitted variance vanishes,
+        with the read noise that the histogram shows: intervals are wider then
     em_gain, electrons_per_adu : photon transfer measures only their ratio; give one (default: gain 300 for
         an EMCCD) and the other follows
     excess_noise_factor : F² of the multiplication; None: 2 for an EMCCD, 1 else
+    readout_kernel, clock_induced_charge_e : taken so instead of measured; () and 0: none
     baseline_adu, read_noise_adu : known values, instead of dark frames
 
     Raises
     ------
     MufasaError : too few frames, or no dark frames and too little range of light for a line.
     """
-    shape = tuple(getattr(movie, "shape", ()))
-    if len(shape) != 3 or shape[0] < 4:
+    movie = checks.stack(movie)
+    shape = tuple(movie.shape)
+    if shape[0] < 4:
         raise MufasaError(f"movie has shape {shape}: calibration needs at least 4 frames (frame, y, x)")
-    notes: list[str] = []
+    _check_given(camera_type, em_gain, electrons_per_adu, quantum_efficiency, excess_noise_factor, baseline_adu)
+    if dark is not None:
+        dark = checks.stack(dark, "dark")
+        if dark.shape[1:] == shape[1:] and (told := light_in_dark(movie, dark)):
+            warnings.warn(told, stacklevel=2)
+    kernel = None if readout_kernel is None else tuple(float(share) for share in readout_kernel)
+    assumed = Assumed(excess_noise_factor, kernel, clock_induced_charge_e, baseline_adu, read_noise_adu)
+    register, notes = camera_type == "EMCCD", []
     first = 0
     if dark is None and baseline_adu is None:
         first = leading_dark_frames(movie)
         if first:
             dark = np.asarray(movie[:first])
             notes.append(f"frames 0 to {first - 1} are dark and were used as dark frames")
-    base, read, tail, values = dark_frames(dark, baseline_adu, read_noise_adu, shape[1:], notes)
-    means, variances = photon_transfer(movie, first, progress, cancel)
-    steady = steady_pixels(means, variances)
-    means, variances = means[:, steady], variances[:, steady]
-    if np.isnan(base.value):
-        base, slopes = line(means, variances, int(shape[0]) - first, read.value, notes)
-    else:
-        slopes = np.array(
-            [slope_through_origin(m - base.value, v - read.value**2) for m, v in zip(means, variances, strict=True)]
-        )
-    slopes = slopes[np.isfinite(slopes)]
-    if len(slopes) == 0 or np.median(slopes) <= 0:
-        raise MufasaError(
-            "the variance does not grow with the signal: the movie is dark, saturated or already processed; "
-            "give raw frames under light"
-        )
-    slope = Value(float(np.mean(slopes)), float(np.std(slopes) / np.sqrt(max(len(slopes) - 1, 1))))
-    factor = excess_noise_factor or (2.0 if camera_type == "EMCCD" else 1.0)
+    chunks = lit_chunks(movie, first, progress, cancel)
+    lit = np.ones(shape[1:], dtype=bool)
+    frames, shaded, seen_dark = None, None, None
+    if dark is not None:
+        frames = checked_dark(dark, shape[1:])
+    elif baseline_adu is None and register:
+        shaded = shadow(chunks)
+        frames = None if shaded is None else np.concatenate(chunks).astype(np.float64)
+    if frames is not None:
+        seen_dark = measure_dark(frames, register, shaded, clock_induced_charge_e)
+        if shaded is not None and not _is_dark(seen_dark):
+            frames, shaded, seen_dark = None, None, None
+    if shaded is not None:
+        lit = ~shaded
+        notes.append(f"{100 * shaded.mean():.0f} % of the pixels lie in shadow and were used in place of dark frames")
+    seen = _Light(chunks, lit, shape[0] - first)
+    if seen_dark is not None and frames is not None and seen_dark.charge.value > 0:
+        # What an electron looks like in the dark depends on the kernel, which the light tells.
+        weights = _weights(_kernel(seen, seen_dark, seen_dark.variance, assumed)[0])
+        if len(weights) > 1:
+            seen_dark = measure_dark(frames, register, shaded, clock_induced_charge_e, weights)
+    factor = excess_noise_factor or (2.0 if register else 1.0)
     notes.append(f"excess noise factor {factor:g} " + ("given" if excess_noise_factor else f"assumed ({camera_type})"))
-    per_electron = Value(slope.value / factor, slope.sd / factor)
-    charge = clock_induced(values, base.value, read.value, per_electron.value)
-    camera = _camera(
-        camera_type, per_electron.value, em_gain, electrons_per_adu, quantum_efficiency, base.value, read.value,
-        charge.value, adc_max, notes,
+    found = _measured(seen, seen_dark, assumed, factor, notes)
+    stacks = [chunk[:, lit] for chunk in chunks]
+    camera, gains = camera_of(
+        camera_type, found, em_gain, electrons_per_adu, quantum_efficiency, seen_dark, assumed, adc_max,
+        code_widths(stacks), notes,
     )  # fmt: skip
-    return Calibration(
-        base, read, slope, per_electron, factor, charge, tail, camera,
-        curve(means.mean(axis=0) - base.value, variances.mean(axis=0) - np.nan_to_num(read.value) ** 2), notes,
-    )  # fmt: skip
+    full = saturation_adu(stacks)
+    if full is not None:
+        notes.append(f"counts pile up at {full:g} ADU: the movie is saturated there")
+        camera = camera.model_copy(update={"adc_max": min(int(full), camera.adc_max)})
+    return replace(found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full)
 
 
-def _camera(
-    kind: CameraType, adu_per_electron: float, em_gain: float | None, electrons_per_adu: float | None,
-    quantum_efficiency: float, baseline: float, read_noise_adu: float, charge: float, adc_max: int, notes: list[str],
-) -> Camera:  # fmt: skip
-    from napari_mufasa.model.setup import Camera
+def _check_given(
+    camera_type: Any, em_gain: Any, electrons_per_adu: Any, quantum_efficiency: Any, excess_noise_factor: Any,
+    baseline_adu: Any,
+) -> None:  # fmt: skip
+    """Values that the user knows, within what a camera can have."""
+    checks.choice(camera_type, "camera_type", get_args(CameraType))
+    checks.number(quantum_efficiency, "quantum_efficiency", 1e-3, 1)
+    known = {
+        "em_gain": (em_gain, 1, 1e5), "electrons_per_adu": (electrons_per_adu, 1e-6, 1e6),
+        "excess_noise_factor": (excess_noise_factor, 1, 4), "baseline_adu": (baseline_adu, 0, 65535),
+    }  # fmt: skip
+    for name, (value, least, most) in known.items():
+        if value is not None:
+            checks.number(value, name, least, most)
 
-    if kind == "EMCCD":
-        if em_gain is None and electrons_per_adu is None:
-            em_gain = 300.0
-            notes.append("EM gain 300 assumed: only gain over electrons per ADU is measured")
-        if electrons_per_adu is None:
-            electrons_per_adu = float(em_gain or 1) / adu_per_electron
-        elif em_gain is None:
-            em_gain = electrons_per_adu * adu_per_electron
+
+def _is_dark(shaded: Dark) -> bool:
+    """Whether a part of the chip is dark, not just dim and even: single electrons would show."""
+    return shaded.fit is not None and not shaded.charge.value > DARK_CHARGE_E
+
+
+def _weights(kernel: tuple[float, ...]) -> tuple[float, ...]:
+    weights = np.array([1.0, *kernel])
+    return tuple(float(w) for w in weights / weights.sum())
+
+
+class _Light:
+    """What is read off the lit frames before anything is assumed of the camera."""
+
+    def __init__(self, chunks: list[NDArray[np.float32]], lit: NDArray[np.bool_], n_frames: int) -> None:
+        self.chunks, self.n_frames = chunks, n_frames
+        means, variances = transfer.photon_transfer(chunks)
+        chosen = np.flatnonzero(lit.ravel())
+        means, variances = (a.reshape(len(a), -1)[:, chosen] for a in (means, variances))
+        steady = transfer.steady_pixels(means, variances)
+        mean = np.mean([chunk.mean(axis=0, dtype=np.float64) for chunk in chunks], axis=0)
+        still = np.zeros(lit.shape, dtype=bool)
+        still.ravel()[chosen[steady]] = True
+        quiet = still & transfer.quiet_pixels(mean)
+        self.quiet = quiet if quiet.sum() > max(9, 0.02 * quiet.size) else still
+        kept = self.quiet.ravel()[chosen]
+        self.means, self.variances = means[:, kept], variances[:, kept]
+        # Without dark frames the range of light counts: spots, as far as they are steady, are part of it.
+        self.wider = means[:, steady], variances[:, steady]
+        self.counts_each = int(kept.sum()) * len(chunks[0])
+        differences = [transfer.second_differences(chunk) for chunk in chunks]
+        differences = [d - d[:, self.quiet].mean(axis=1)[:, None, None] for d in differences]
+        stacked = np.concatenate(differences)
+        self.rows = rows.correlations(stacked, self.quiet, (1, -2, 1))
+        self.rows_everywhere = rows.correlations(stacked, lit, (1, -2, 1))
+
+
+def _measured(light: _Light, dark: Dark | None, assumed: Assumed, factor: float, notes: list[str]) -> Calibration:
+    """Everything but the camera that is made of it."""
+    read, dark_variance = _read_noise(dark, assumed)
+    kernel, of_light = _kernel(light, dark, dark_variance, assumed)
+    correction = 1 + 2 * float(np.sum(of_light))
+    lags = int(np.count_nonzero(of_light)) if assumed.readout_kernel is None else 0
+    doubt = 2 * np.sqrt(lags) * _kernel_sd(light, dark_variance) / max(correction, 0.05)
+    law = Law(1.0, factor, 0.0, 0.0, _weights(kernel))
+    fits: list[Fit] = [dark.fit] if dark is not None and dark.fit is not None else []
+    known = dark is not None or assumed.baseline_adu is not None
+    if known:
+        base, level = _base(dark, assumed)
+        slope, curve = _slope(light, level, base.sd, dark_variance, read, correction, float(doubt))
+        charge = dark.charge if dark is not None else Value(assumed.clock_induced_charge_e or 0.0, float("nan"))
+        law = replace(law, read_noise_adu=read.value, charge_e=float(np.nan_to_num(charge.value)))
     else:
-        em_gain, electrons_per_adu = None, 1 / adu_per_electron
-    curve = {"cmos_gain_curve": ((0.0, 0.0), (1.0, 1.0))} if kind == "CMOS" else {}
-    return Camera(
-        type=kind,
-        quantum_efficiency=quantum_efficiency,
-        read_noise_e=float(np.nan_to_num(read_noise_adu) * electrons_per_adu),
-        clock_induced_charge_e=float(np.nan_to_num(charge)),
-        electrons_per_adu=electrons_per_adu,
-        baseline_adu=max(baseline, 0.0),
-        adc_max=adc_max,
-        em_gain=max(em_gain, 1.0) if em_gain is not None else None,
-        **curve,
+        charge = UNKNOWN
+        fitted = transfer.line(*light.wider, light.n_frames)
+        slope = transfer.mean_of([s * correction for s, _ in fitted], float(doubt), light.counts_each)
+        base, curve = UNKNOWN, (np.empty(0), np.empty(0))
+    law = replace(law, adu_per_electron=slope.value / factor)
+    seen = histogram.of_light(light.chunks, light.quiet)
+    excess = UNKNOWN
+    if known and seen is not None:
+        law = replace(law, adu_per_electron=slope.value / factor)
+        fits.append(histogram.fit("light", seen, law, ("adu_per_electron",), base.value))
+        if factor > 1:
+            start = replace(law, excess_noise_factor=1.8)
+            free = histogram.fit("light", seen, start, ("adu_per_electron", "excess_noise_factor"), base.value)
+            excess = free.values["excess_noise_factor"] if _tells_shape(free) else UNKNOWN
+    elif not known:
+        base, read, fit = _without_dark(light, fitted, seen, law, slope, assumed, notes)
+        fits += [] if fit is None else [fit]
+        level = base.value - 0.5
+        curve = transfer.curve(light.means.mean(axis=0) - level, light.variances.mean(axis=0) - read.value**2)
+    readout = Readout(
+        kernel=kernel,
+        noise_kernel=_noise_kernel(dark, of_light, dark_variance, slope.value),
+        shares=() if assumed.readout_kernel is not None else rows.shares_of(of_light, _kernel_sd(light, dark_variance)),
+        row_correlations=light.rows.row,
+        column_correlations=light.rows.column,
+        correlations_everywhere=light.rows_everywhere.row,
+        correlations_sd=light.rows.sd,
+        dark_row_correlations=None if dark is None or dark.rows is None else dark.rows.row,
+        alternation_adu=UNKNOWN if dark is None else dark.alternation,
+        jitter_adu=UNKNOWN if dark is None else dark.jitter,
     )
+    return Calibration(
+        baseline_adu=base, read_noise_adu=read, slope_adu=slope, adu_per_photoelectron=slope.over(factor),
+        excess_noise_factor=factor, excess_noise_measured=excess, clock_induced_charge_e=charge,
+        tail_fraction=float("nan") if dark is None else dark.tail_share, readout=readout, fits=tuple(fits),
+        row_p_value=_row_p_value(light.rows, kernel, assumed), curve=curve, notes=notes,
+    )  # fmt: skip
+
+
+def _tells_shape(fit: Fit) -> bool:
+    """Whether a histogram is so much as its law that a number may be read off its shape."""
+    low, high = fit.values["excess_noise_factor"].interval
+    return (fit.p_value > 1e-4 or fit.distance < LARGEST_MISFIT) and high < 4 * low
+
+
+def _read_noise(dark: Dark | None, assumed: Assumed) -> tuple[Value, float]:
+    """Read noise, and the variance that is not of the light."""
+    if assumed.read_noise_adu is not None:
+        given = float(assumed.read_noise_adu)
+        return Value(given, float("nan")), given**2 + 1 / 12
+    if dark is None:
+        return Value(0.0, float("nan")), 0.0
+    return dark.read_noise, dark.variance
+
+
+def _kernel(
+    light: _Light, dark: Dark | None, dark_variance: float, assumed: Assumed
+) -> tuple[tuple[float, ...], Array]:
+    """Shares of the pixels before, and the correlations (lag,) that they give to light."""
+    if assumed.readout_kernel is not None:
+        weights = np.array([1.0, *assumed.readout_kernel])
+        law = np.zeros(rows.LAGS)
+        given = np.correlate(weights, weights, "full")[len(weights) :] / np.sum(weights**2)
+        law[: len(given)] = given[: rows.LAGS]
+        return assumed.readout_kernel, law
+    found = rows.of_light(light.rows, None if dark is None else dark.rows, dark_variance)
+    return rows.kernel_of(found), found
+
+
+def _kernel_sd(light: _Light, dark_variance: float) -> float:
+    """Standard error of the correlations that the read-out gives to light."""
+    total = light.rows.variance
+    return float(np.sqrt(2) * light.rows.sd * total / max(total - dark_variance, 1e-9))
+
+
+def _noise_kernel(dark: Dark | None, of_light: Array, dark_variance: float, slope: float) -> tuple[float, ...]:
+    """The kernel of the read noise: dark correlations without what spurious electrons, as light, have of them."""
+    if dark is None or dark.rows is None:
+        return rows.kernel_of(of_light)  # the best guess: the same amplifier
+    own = np.zeros(rows.LAGS)
+    own[: len(dark.rows.kernel)] = dark.rows.kernel
+    if not own.any():
+        return ()
+    read = dark.read_noise.value**2
+    electrons = max(dark_variance - read, 0.0) if dark.charge.value > 0 else 0.0
+    return rows.kernel_of((own * (read + electrons) - of_light[: rows.LAGS] * electrons) / max(read, 1e-9))
+
+
+def _base(dark: Dark | None, assumed: Assumed) -> tuple[Value, float]:
+    """BL, and the recorded mean without light."""
+    if assumed.baseline_adu is not None:
+        return Value(float(assumed.baseline_adu), float("nan")), float(assumed.baseline_adu) - 0.5
+    assert dark is not None
+    return dark.baseline, float(dark.mean_map.mean()) if dark.fit is None else _dark_level(dark)
+
+
+def _dark_level(dark: Dark) -> float:
+    assert dark.fit is not None
+    return dark.baseline.value - 0.5 + dark.fit.law.charge_e * dark.fit.law.adu_per_electron
+
+
+def _slope(
+    light: _Light, level: float, level_sd: float, dark_variance: float, read: Value, correction: float, doubt: float
+) -> tuple[Value, tuple[Array, Array]]:
+    slopes = [
+        correction * transfer.slope_through_origin(m - level, v - dark_variance)
+        for m, v in zip(light.means, light.variances, strict=True)
+    ]
+    signal = float(np.mean(light.means)) - level
+    shared = float(np.nan_to_num(level_sd)) / max(abs(signal), 1e-9)
+    grown = max(float(np.mean(light.variances)) - dark_variance, 1e-9)
+    shared = float(np.hypot(shared, 2 * read.value * float(np.nan_to_num(read.sd)) / grown))
+    slope = transfer.mean_of(slopes, float(np.hypot(shared, doubt)), light.counts_each)
+    curve = transfer.curve(light.means.mean(axis=0) - level, light.variances.mean(axis=0) - dark_variance)
+    return slope, curve
+
+
+def _without_dark(
+    light: _Light, fitted: list[tuple[float, float]], seen: histogram.Histogram | None, law: Law, slope: Value,
+    assumed: Assumed, notes: list[str],
+) -> tuple[Value, Value, Fit | None]:  # fmt: skip
+    """Baseline and read noise of a movie that is lit everywhere.
+
+    The line of variance against mean tells the level at which there would be no variance; the baseline lies higher, by
+    the read noise's variance over the slope. How much read noise there is, the histogram of the darkest pixels shows.
+    """
+    power = float(np.sum(np.square(law.weights)))
+    zero = float(np.median([level for _, level in fitted]))
+    zero_sd = float(np.std([level for _, level in fitted]) / np.sqrt(len(fitted)))
+    raw_slope = slope.value * power
+    notes.append("baseline extrapolated to zero variance: dark frames would be far more certain")
+    if assumed.read_noise_adu is not None or seen is None:
+        read = Value(assumed.read_noise_adu or 0.0, float("nan"))
+        moved, fit = read.value**2 / raw_slope, None
+        highest = moved
+    else:
+        start = replace(law, read_noise_adu=max(0.3 * law.adu_per_electron, 1.0))
+        darkest = histogram.Histogram(
+            seen.level_adu[:2], seen.spread_adu[:2], seen.edges[:2], seen.seen[:2], seen.n_mean
+        )
+        fit = histogram.fit("light", darkest, start, ("adu_per_electron", "read_noise_adu"), zero + 0.5, raw_slope)
+        read = fit.values["read_noise_adu"]
+        # The variance of the darkest pixels is the most that the read noise can have.
+        most = float(np.sqrt(np.percentile(light.variances.mean(axis=0), 1)))
+        read = replace(read, value=min(read.value, most), low=min(read.low, most), high=min(read.high, most))
+        moved, highest = read.value**2 / raw_slope, read.high**2 / raw_slope
+        notes.append("read noise from the histogram of the darkest pixels: dark frames would be far more certain")
+    low, high = zero + 0.5 - 2 * NORMAL * zero_sd, zero + 0.5 + highest + 2 * NORMAL * zero_sd
+    base = Value(zero + 0.5 + moved, float(max(zero_sd, (high - low) / (2 * NORMAL))), low, high)
+    return base, read, fit
+
+
+def _row_p_value(seen: rows.Correlations, kernel: tuple[float, ...], assumed: Assumed) -> float:
+    """Chance of the correlations along rows that the kernel does not explain."""
+    from scipy import stats
+
+    own = seen.row - seen.column
+    if assumed.readout_kernel is None:  # measured on them: what is left is what was not believed
+        left = own[len(seen.kernel) :]
+    else:
+        weights = np.array([1.0, *kernel])
+        law = np.zeros(rows.LAGS)
+        given = (np.correlate(weights, weights, "full")[len(weights) :] / np.sum(weights**2))[: rows.LAGS]
+        law[: len(given)] = given
+        left = own - law
+    if len(left) == 0:
+        return 1.0
+    return float(stats.chi2.sf(np.sum(left**2) / (2 * seen.sd**2), len(left)))

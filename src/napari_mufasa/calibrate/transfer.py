@@ -2,49 +2,41 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.calibrate.dark import counts
-from napari_mufasa.calibrate.value import Value
-from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.calibrate.value import NORMAL, Value
+from napari_mufasa.errors import MufasaError
 
-CHUNKS = 10  # parts of the movie whose spread gives the uncertainties
-CHUNK_BYTES = 2**27  # of each at most, as float32
+Array = NDArray[np.float64]
 BINS = 30
+LARGE_PX = 1000  # pixels of a frame whose mean takes no noise of single ones along
+QUIET_PX = 15  # window of the background that spots are told from
+QUIET_SD = 3.0
+STEADY_SD = 6.0  # sample variances are skewed: a closer cut would take more from above than from below
 
 
-def photon_transfer(
-    movie: Any, first: int, progress: Callable[[int, int], None] | None, cancel: Callable[[], bool] | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and variance of every pixel in every chunk of the movie, each (chunk, pixel)."""
-    edges = np.linspace(first, movie.shape[0], CHUNKS + 1).astype(int)
-    if edges[1] - edges[0] < 4:
-        edges = np.array([first, movie.shape[0]])
-    means, variances = [], []
-    for i, (start, stop) in enumerate(itertools.pairwise(edges)):
-        if cancel is not None and cancel():
-            raise Cancelled
-        most = max(4, CHUNK_BYTES // (4 * movie.shape[1] * movie.shape[2]))
-        stack = counts(movie[start : min(stop, start + most)], "the movie's frames").astype(np.float32)
-        if len(stack) < 4:
-            continue
-        # Second differences take a steady change of light out as well: var = mean(d²)/6.
-        second = stack[2:] - 2 * stack[1:-1] + stack[:-2]
-        means.append(stack.mean(axis=0, dtype=np.float64).ravel())
-        variances.append((second**2).mean(axis=0, dtype=np.float64).ravel() / 6)
-        if progress is not None:
-            progress(i + 1, len(edges) - 1)
-    if not means:
-        raise MufasaError("fewer than 4 lit frames: record more frames under light")
+def second_differences(chunk: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(frame − 2, y, x): they take a steady change of light out as well as the pixels' patterns; var = mean(d²)/6.
+
+    What all pixels of a large frame have in common (an alternating baseline, a flickering lamp) is taken off, too.
+    """
+    found = chunk[2:] - 2 * chunk[1:-1] + chunk[:-2]
+    if found[0].size >= LARGE_PX:
+        found -= found.mean(axis=(1, 2), keepdims=True)
+    return np.asarray(found, np.float32)
+
+
+def photon_transfer(chunks: Sequence[NDArray[np.float32]]) -> tuple[Array, Array]:
+    """Mean and variance of every pixel in every chunk, each (chunk, y, x)."""
+    means = [chunk.mean(axis=0, dtype=np.float64) for chunk in chunks]
+    variances = [(second_differences(chunk) ** 2).mean(axis=0, dtype=np.float64) / 6 for chunk in chunks]
     return np.array(means), np.array(variances)
 
 
-def steady_pixels(means: NDArray[np.float64], variances: NDArray[np.float64]) -> NDArray[np.bool_]:
+def steady_pixels(means: Array, variances: Array) -> NDArray[np.bool_]:
     """(pixel,) True where the variance over the whole movie is like that of pixels with the same mean.
 
     Blinking, bleaching and moving molecules add variance of their own. They are flagged on the whole movie,
@@ -58,34 +50,65 @@ def steady_pixels(means: NDArray[np.float64], variances: NDArray[np.float64]) ->
     for members in bins_of(mean):
         middle = np.median(variance[members])
         spread = 1.4826 * np.median(np.abs(variance[members] - middle))
-        steady[members] = np.abs(variance[members] - middle) <= 3 * spread
+        steady[members] = np.abs(variance[members] - middle) <= STEADY_SD * spread
     return steady
 
 
-def bins_of(mean: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+def quiet_pixels(mean: Array) -> NDArray[np.bool_]:
+    """(y, x) True where no spot stands above its surroundings, nor beside."""
+    from scipy import ndimage
+
+    if min(mean.shape) < 2 * QUIET_PX:
+        return np.ones(mean.shape, dtype=bool)
+    above = mean - ndimage.median_filter(mean, QUIET_PX, mode="nearest")
+    spread = 1.4826 * float(np.median(np.abs(above)))
+    # A spot is broad: single pixels that stick out by chance or by pattern are no spots.
+    spots = ndimage.uniform_filter(above, 3) > QUIET_SD / 2 * spread
+    return np.asarray(~ndimage.binary_dilation(spots, iterations=2))
+
+
+def bins_of(mean: Array) -> list[NDArray[np.int64]]:
     """Pixels grouped by their mean."""
     return np.array_split(np.argsort(mean), min(BINS, max(1, len(mean) // 20)))
 
 
-def curve(
-    signal: NDArray[np.float64], variance: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def curve(signal: Array, variance: Array) -> tuple[Array, Array]:
     """Mean signal and mean variance of each bin."""
     bins = bins_of(signal)
     return np.array([signal[b].mean() for b in bins]), np.array([variance[b].mean() for b in bins])
 
 
-def slope_through_origin(signal: NDArray[np.float64], variance: NDArray[np.float64]) -> float:
-    """Slope through the origin: the median over bins of variance over signal."""
-    x, y = curve(signal, variance)
-    lit = x > 0.2 * np.percentile(x, 90)
-    return float(np.median(y[lit] / x[lit])) if lit.any() else float("nan")
+def slope_through_origin(signal: Array, variance: Array) -> float:
+    """Variance over signal of the lit pixels together: a ratio of sums has no bias by the noise of single pixels."""
+    lit = signal > 0.2 * np.percentile(signal, 90)
+    total = float(signal[lit].sum())
+    return float(variance[lit].sum()) / total if total > 0 else float("nan")
 
 
-def line(
-    means: NDArray[np.float64], variances: NDArray[np.float64], n_frames: int, read_noise: float, notes: list[str]
-) -> tuple[Value, NDArray[np.float64]]:
-    """Baseline and slope from a robust line of variance against mean, chunk by chunk."""
+def mean_of(slopes: Sequence[float], relative_doubt: float, counts_each: int) -> Value:
+    """The mean of the chunks' slopes with its 95 % interval; `relative_doubt`: what all of them share; `counts_each`:
+    how many counts a chunk has, which tells its error where there is but one."""
+    from scipy import stats
+
+    found = np.array([s for s in slopes if np.isfinite(s)])
+    if len(found) == 0 or np.median(found) <= 0:
+        raise MufasaError(
+            "the variance does not grow with the signal: the movie is dark, saturated or already processed; "
+            "give raw frames under light"
+        )
+    value = float(found.mean())
+    # A variance of n second differences has 2 · 1.94 / n of its square, half as much again for the counts' long tail.
+    own = value * np.sqrt(2 * 1.94 * 1.5 / counts_each)
+    own = float(found.std(ddof=1) / np.sqrt(len(found))) if len(found) > 1 else own
+    reach = float(stats.t.ppf(0.975, len(found) - 1)) if len(found) > 1 else NORMAL
+    shared = abs(value) * relative_doubt
+    sd, far = float(np.hypot(own, shared)), float(np.hypot(reach * own, NORMAL * shared))
+    return Value(value, sd, value - far, value + far)
+
+
+def line(means: Array, variances: Array, n_frames: int) -> list[tuple[float, float]]:
+    """Slope, and the level (ADU) at which a line of variance against mean has no variance, chunk by chunk (pixels as
+    for `photon_transfer`, flattened)."""
     from scipy.stats import theilslopes
 
     fits = []
@@ -102,12 +125,11 @@ def line(
         if keep.sum() < 5 or np.ptp(x[keep]) < 0.02 * abs(x[keep].mean()):
             continue
         slope, intercept = theilslopes(y[keep], x[keep])[:2]
-        fits.append((float(slope), -(float(intercept) - read_noise**2) / float(slope) if slope else float("nan")))
+        if slope > 0:
+            fits.append((float(slope), -float(intercept) / float(slope)))
     if not fits:
         raise MufasaError(
             "without dark frames the light must differ between pixels, and here it does not: "
             "record dark frames (shutter closed), or give baseline_adu (--baseline-adu)"
         )
-    slopes, baselines = np.array(fits).T
-    notes.append("baseline extrapolated to zero variance: dark frames would be far more certain")
-    return Value(float(np.median(baselines)) + 0.5, float(np.std(baselines) / np.sqrt(len(baselines)))), slopes
+    return fits

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.camera import readout
 from napari_mufasa.chance.streams import Streams
 from napari_mufasa.errors import MufasaError
 
@@ -45,11 +46,17 @@ IDEAL = SensorHooks()
 
 
 def check_counts(counts: NDArray[Any], camera: Camera) -> None:
-    """Raise `MufasaError` for counts that this camera cannot have recorded: below zero in spite of its baseline."""
+    """Raise `MufasaError` for counts that this camera cannot have recorded: below zero in spite of its baseline, or
+    above its largest."""
     if counts.dtype.kind != "u" and counts.size and camera.baseline_adu >= 1 and counts.min() < 0:
         raise MufasaError(
             f"movie has counts down to {counts.min():.6g}, the camera's baseline is {camera.baseline_adu:.6g} ADU: "
             "give the raw counts, or set baseline_adu to 0 if it was subtracted"
+        )
+    if counts.size and counts.max() > camera.adc_max:
+        raise MufasaError(
+            f"movie has counts up to {counts.max():.6g}, the camera's adc_max is {camera.adc_max}: "
+            "give the raw counts, or set adc_max to the largest count of the camera"
         )
 
 
@@ -87,16 +94,25 @@ def expose(
         electrons = hook(electrons, frames)
     for hook in hooks.amplifier:
         electrons = hook(electrons, frames)
+    if camera.readout_kernel:
+        electrons = readout.along_rows(electrons, readout.signal_weights(camera))
     # 4 read noise N(μ, σ²)
     noise = np.asarray(read_noise_map_e(camera), np.float32)
     sigma = np.ascontiguousarray(np.broadcast_to(noise, electrons.shape[1:]))
     electrons = np.ascontiguousarray(electrons, dtype=np.float32)
-    added = np.zeros_like(electrons) if hooks.noise else electrons
+    apart = bool(hooks.noise or camera.read_noise_kernel)
+    added = np.zeros_like(electrons) if apart else electrons
     read_out(added, sigma, camera.read_noise_mean_e, numbers, streams.key("read noise"))
+    if camera.read_noise_kernel:
+        mean_e = np.float32(camera.read_noise_mean_e)
+        added = readout.along_rows(added - mean_e, readout.noise_weights(camera)) + mean_e
     for hook in hooks.noise:
         added = hook(added, frames)
-    if hooks.noise:
+    if apart:
         electrons += added
+    if camera.baseline_alternation_adu or camera.baseline_jitter_adu:
+        offset_e = camera.electrons_per_adu * readout.frame_offsets_adu(camera, numbers, streams)
+        electrons += offset_e.astype(np.float32)[:, None, None]
     for hook in hooks.output:
         electrons = hook(electrons, frames)
     # 5 digitisation: min(⌊n_oe/e_per_ADU⌋ + BL, ADC_max), never below 0. A baseline between two counts is
@@ -105,25 +121,38 @@ def expose(
     electrons = np.ascontiguousarray(electrons, dtype=np.float32)
     per_adu, most = np.float32(camera.electrons_per_adu), camera.adc_max
     digital: NDArray[np.uint16]
-    if hooks.code_begins is None:
+    begins = hooks.code_begins
+    if begins is None and camera.code_widths:
+        begins = readout.code_begins(camera.code_widths)
+    if begins is None:
         digital = digitise(electrons, per_adu, baseline, most)
     else:
-        digital = digitise_unevenly(electrons, per_adu, baseline, most, hooks.code_begins)
+        digital = digitise_unevenly(electrons, per_adu, baseline, most, begins)
     return digital
 
 
-def output_electrons(movie: NDArray[Any], camera: Camera) -> Stack:
-    """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (docs/camera.md). Negative values are kept on purpose."""
+def output_electrons(movie: NDArray[Any], camera: Camera, first_frame: int = 0) -> Stack:
+    """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (docs/camera.md). Negative values are kept on purpose.
+
+    first_frame : the number of the movie's frame that is given first; only an alternating baseline asks for it.
+    """
     _check_maps(movie, camera)
     half = np.float32(0.5) - baseline_map_adu(camera)
     mean_e = np.float32(camera.read_noise_mean_e)
     electrons = (np.asarray(movie, dtype=np.float32) + half) * np.float32(camera.electrons_per_adu) - mean_e
+    if camera.baseline_alternation_adu and electrons.ndim == 3:
+        frames = np.arange(first_frame, first_frame + len(electrons))
+        offset_e = camera.electrons_per_adu * readout.frame_offsets_adu(camera, frames)
+        electrons = electrons - offset_e.astype(np.float32)[:, None, None]
     return np.asarray(electrons, dtype=np.float32)
 
 
-def photoelectrons(movie: NDArray[Any], camera: Camera) -> Stack:
-    """Undo steps 5 and 2: ADU → photoelectrons (n_ie with noise), float32."""
-    electrons = output_electrons(movie, camera)
+def photoelectrons(movie: NDArray[Any], camera: Camera, first_frame: int = 0) -> Stack:
+    """Undo steps 5, 3 (as far as the camera has a `readout_kernel`) and 2: ADU → photoelectrons (n_ie with noise),
+    float32. `first_frame` as for `output_electrons`."""
+    electrons = output_electrons(movie, camera, first_frame)
+    if camera.readout_kernel:
+        electrons = readout.undone_along_rows(electrons, readout.signal_weights(camera))
     if camera.type == "EMCCD":
         return electrons / np.float32(_gain(camera))
     if camera.type == "CMOS":
@@ -138,6 +167,8 @@ def photons(electrons: NDArray[np.floating], camera: Camera) -> Stack:
 
 def multiplication_noise(camera: Camera) -> float:
     """α of the photoelectron signal: variance/mean after division by the gain; 2 for an EMCCD, else 1."""
+    if camera.excess_noise_factor is not None:
+        return camera.excess_noise_factor
     return 2.0 if camera.type == "EMCCD" else 1.0
 
 

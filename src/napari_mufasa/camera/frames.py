@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import camera as detector
-from napari_mufasa.errors import Cancelled, MufasaError, need
+from napari_mufasa import checks
+from napari_mufasa.camera.darkness import light_in_dark
+from napari_mufasa.errors import Cancelled, MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.model.setup import Camera
@@ -32,22 +35,16 @@ class Frames:
     """
 
     def __init__(self, movie: Any, camera: Camera, dark: Any = None, unit: Unit = "adu") -> None:
-        movie = getattr(movie, "data", movie) if not hasattr(movie, "shape") else movie
-        if not hasattr(movie, "shape"):
-            movie = np.asarray(movie)
         from napari_mufasa.model.setup import Camera
 
-        if len(movie.shape) != 3 or 0 in movie.shape:
-            raise MufasaError(f"movie has shape {tuple(movie.shape)}: needs a non-empty stack (frame, y, x)")
-        if np.dtype(movie.dtype).kind not in "uif":
-            raise MufasaError(f"movie holds {movie.dtype}: needs real numbers")
-        if unit not in ("adu", "photoelectrons", "photons"):
-            raise MufasaError(f"unit {unit!r} is unknown: choose 'adu', 'photoelectrons' or 'photons'")
-        self.movie = movie
-        need(camera, Camera, "camera", "give model.camera")
+        self.movie = movie = checks.stack(movie)
+        checks.choice(unit, "unit", get_args(Unit))
+        checks.need(camera, Camera, "camera", "give model.camera")
         self.unit = unit
         self.shape: tuple[int, int, int] = (int(movie.shape[0]), int(movie.shape[1]), int(movie.shape[2]))
         self.camera = camera if dark is None else with_dark_baseline(camera, dark, self.shape[1:], unit)
+        if dark is not None and (told := light_in_dark(movie, checks.stack(dark, "dark", single=True))):
+            warnings.warn(told, stacklevel=3)
 
     @property
     def n_frames(self) -> int:
@@ -107,11 +104,11 @@ class Frames:
     ) -> Iterator[tuple[int, Stack]]:
         """(first frame, photoelectrons) in order."""
         for start, raw in self.counts(report=report, cancel=cancel):
-            yield start, self._photoelectrons(raw)
+            yield start, self._photoelectrons(raw, start)
 
-    def photoelectrons(self, raw: NDArray[Any]) -> Stack:
+    def photoelectrons(self, raw: NDArray[Any], first_frame: int = 0) -> Stack:
         self._check(raw)
-        return self._photoelectrons(raw)
+        return self._photoelectrons(raw, first_frame)
 
     def flat(self, counts: Stack) -> Stack:
         """Counts, or means of them, as if all pixels had the same offset and gain: what finding spots needs, in any
@@ -129,9 +126,9 @@ class Frames:
         if self.unit == "adu":
             detector.check_counts(raw, self.camera)
 
-    def _photoelectrons(self, raw: NDArray[Any]) -> Stack:
+    def _photoelectrons(self, raw: NDArray[Any], first_frame: int) -> Stack:
         if self.unit == "adu":
-            return detector.photoelectrons(raw, self.camera)
+            return detector.photoelectrons(raw, self.camera, first_frame)
         if self.unit == "photons":
             return np.asarray(raw, np.float32) * np.float32(self.camera.quantum_efficiency)
         return np.asarray(raw, np.float32)
@@ -142,13 +139,13 @@ def with_dark_baseline(camera: Camera, dark: Any, shape_px: tuple[int, ...], uni
 
     The recorded dark mean is BL − ½ (the ADC rounds down) + what clock-induced charge adds.
     """
-    dark = np.asarray(getattr(dark, "data", dark) if not hasattr(dark, "shape") else dark)
-    if dark.ndim not in (2, 3) or dark.size == 0 or dark.shape[-2:] != tuple(shape_px):
+    dark = np.asarray(checks.stack(dark, "dark", single=True))
+    if dark.shape[-2:] != tuple(shape_px):
         raise MufasaError(
             f"dark has shape {dark.shape}, the movie's frames are {tuple(shape_px)}: "
             "give dark frames of the same region (frame, y, x)"
         )
-    if dark.dtype.kind not in "uif" or not np.isfinite(dark).all() or dark.mean(dtype=np.float64) < -0.5:
+    if not np.isfinite(dark).all() or dark.mean(dtype=np.float64) < -0.5:
         raise MufasaError("dark frames hold values that are negative or no numbers: give the raw counts (ADU)")
     if unit != "adu":
         raise MufasaError("dark frames correct the baseline of a movie in ADU; this one is already in " + unit)

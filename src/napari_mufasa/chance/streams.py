@@ -12,7 +12,7 @@ from zlib import crc32
 
 import numpy as np
 
-from napari_mufasa.errors import MufasaError
+from napari_mufasa import checks
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,7 @@ class Streams:
     seed: int
 
     def __post_init__(self) -> None:
-        if isinstance(self.seed, bool) or not isinstance(self.seed, (int, np.integer)) or self.seed < 0:
-            raise MufasaError(f"seed = {self.seed!r}: give a whole number ≥ 0")
+        checks.seed(self.seed)
 
     def of(self, name: str, frame: int | None = None) -> np.random.Generator:
         """The generator of `name`, or of one frame of it."""

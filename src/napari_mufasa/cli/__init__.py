@@ -6,9 +6,11 @@ of ours, one line that says so (``--debug`` shows where). Nothing heavy is impor
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 DONE, FAULT, BAD_INPUT, STOPPED = 0, 1, 2, 130
@@ -19,9 +21,31 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    with warnings.catch_warnings():
-        warnings.showwarning = _show_warning
-        raise SystemExit(_run(arguments, debug))
+    notes: dict[str, None] = {}
+    with warnings.catch_warnings(), _quiet("tifffile"), _quiet("matplotlib"):
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, category, *_, **__: _collect(notes, message, category)
+        code = _run(arguments, debug)
+    for note in notes if code == DONE else ():  # what went wrong is told in one line
+        print(f"napari-mufasa: note: {note}", file=sys.stderr)
+    raise SystemExit(code)
+
+
+def _collect(notes: dict[str, None], message: Warning | str, category: type[Warning]) -> None:
+    """Our own warnings, each once and in one line; what libraries tell their developers is not for users."""
+    if category is UserWarning:
+        notes[one_line(str(message))] = None
+
+
+@contextlib.contextmanager
+def _quiet(library: str) -> Iterator[None]:
+    """What a library logs is for its developers; what is wrong is told by our own line."""
+    logger, handler = logging.getLogger(library), logging.NullHandler()
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
 
 
 def _run(arguments: list[str], debug: bool) -> int:
@@ -29,12 +53,15 @@ def _run(arguments: list[str], debug: bool) -> int:
 
     from napari_mufasa.cli.app import app, spread_lists
     from napari_mufasa.errors import Cancelled, MufasaError
+    from napari_mufasa.provenance import command
 
     try:
-        result = app(spread_lists(arguments), prog_name="napari-mufasa", standalone_mode=False)
+        with command(arguments):
+            result = app(spread_lists(arguments), prog_name="napari-mufasa", standalone_mode=False)
         sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt, Cancelled):
-        return _say("stopped; nothing is half-written", STOPPED)
+        kept = "finished blocks are kept, the same command goes on from them"
+        return _say(f"stopped; {kept if '--resume' in arguments else 'nothing is half-written'}", STOPPED)
     except typer.Exit as leaving:
         return leaving.exit_code
     except MufasaError as error:
@@ -59,8 +86,13 @@ def _say(message: str, code: int, debug: bool = False) -> int:
         import traceback
 
         traceback.print_exc()
-    print("napari-mufasa: " + " ".join(message.split()), file=sys.stderr)
+    print("napari-mufasa: " + one_line(message), file=sys.stderr)
     return code
+
+
+def one_line(message: str) -> str:
+    """One line without control characters: names of files are others' words."""
+    return "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
 
 
 def _is_usage_error(error: Exception) -> bool:
@@ -79,9 +111,3 @@ def _os_line(error: OSError) -> str:
     if error.filename is None or error.strerror is None:
         return f"{error}: check the files and the space on the disk"
     return f"{error.filename}: {error.strerror.lower()}; check the path, its permissions and the space on the disk"
-
-
-def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    """Our own warnings in one line; what libraries tell their developers is not for users."""
-    if category is UserWarning:
-        print("napari-mufasa: note: " + " ".join(str(message).split()), file=sys.stderr)

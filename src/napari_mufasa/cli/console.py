@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import shutil
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from napari_mufasa import checks, provenance
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
 
+STOPPING = (signal.SIGINT, signal.SIGTERM)
 MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr")
 
 
@@ -48,13 +54,14 @@ def working(title: str) -> Iterator[Work]:
         print("\nstopping … (Ctrl-C again to stop at once)", file=sys.stderr)
 
     main_thread = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGINT, ask_to_stop) if main_thread else None
+    # A terminated job (SIGTERM) stops as with Ctrl-C and cleans up after itself.
+    before = {each: signal.signal(each, ask_to_stop) for each in STOPPING} if main_thread else {}
     try:
         with _bar(title) as progress:
             yield Work(progress, stop.is_set)
     finally:
-        if main_thread:
-            signal.signal(signal.SIGINT, before)
+        for each, handler in before.items():
+            signal.signal(each, handler)
     if stop.is_set():  # asked after the last safe point: the result is not wanted
         raise KeyboardInterrupt
 
@@ -77,14 +84,14 @@ def _bar(title: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bars.update(task, completed=done, total=total)
 
 
-def check_movie_out(path: Path) -> None:
+def check_movie_out(path: Path, overwrite: bool) -> None:
     """Fail before the work, not after it, when the movie could not be written."""
     if not path.name.lower().endswith(MOVIE_SUFFIXES):
         raise MufasaError(f"cannot write a movie to {path}: use .ome.tif, .tif or .zarr")
-    check_file_out(path, directory=path.suffix == ".zarr")
+    check_file_out(path, overwrite, directory=path.suffix == ".zarr")
 
 
-def check_file_out(path: Path, directory: bool = False) -> None:
+def check_file_out(path: Path, overwrite: bool, directory: bool = False) -> None:
     if not path.parent.is_dir():
         raise MufasaError(f"no folder {path.parent}: make it first or choose another output path")
     _check_writable(path.parent)
@@ -92,9 +99,41 @@ def check_file_out(path: Path, directory: bool = False) -> None:
         raise MufasaError(f"{path} is a folder: give the path of a file")
     if directory and path.is_dir() and any(path.iterdir()) and not (path / "zarr.json").exists():
         raise MufasaError(f"{path} is a folder that holds other things: choose another output path")
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise MufasaError(f"{path} is neither file nor folder: give the path of a file")
+    if os.path.lexists(path) and not overwrite:
+        raise MufasaError(f"{path} is there already: choose another output path, or add --overwrite to replace it")
 
 
-def check_folder_out(path: Path) -> None:
+def check_not_read(out: Path, *inputs: Path | None) -> None:
+    """An output must not take the place of what it is made from, not even with --overwrite."""
+    for path in inputs:
+        if path is not None and out.exists() and path.exists() and out.samefile(path):
+            raise MufasaError(f"{out} is also read: choose another output path")
+
+
+def check_room(path: Path, n_bytes: int) -> None:
+    """Fail before the work when the disk has no room for a movie; zarr packs counts to about half."""
+    free = shutil.disk_usage(path.parent).free
+    if n_bytes > (4 * free if path.suffix == ".zarr" else free):
+        size = checks.size(n_bytes)
+        raise MufasaError(
+            f"{path} would have {size}, the disk has {checks.size(free)} free: take less, or another disk"
+        )
+
+
+def check_folder_out(path: Path, overwrite: bool, names: Sequence[str], *inputs: Path | None) -> None:
+    """`names`: what the verb writes, as patterns of file names; `inputs`: what it reads."""
+    for each in inputs:
+        if each is not None and path.is_dir() and any(fnmatch(each.name, name) for name in names):
+            check_not_read(path / each.name, each)
+    if path.is_dir() and not overwrite:
+        there = sorted(file.name for file in path.iterdir() if any(fnmatch(file.name, name) for name in names))
+        if there:
+            more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+            raise MufasaError(
+                f"{path / there[0]}{more} would be replaced: choose another output folder, or add --overwrite"
+            )
     if path.exists() and not path.is_dir():
         raise MufasaError(f"{path} is a file: give the path of a folder")
     # The folder is made with its parents, and its files come from a temporary folder beside it.
@@ -107,8 +146,6 @@ def check_folder_out(path: Path) -> None:
 
 
 def _check_writable(folder: Path) -> None:
-    import os
-
     if not os.access(folder, os.W_OK | os.X_OK):
         raise MufasaError(f"cannot write into {folder}: allow it or choose another output path")
 
@@ -161,15 +198,36 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else "–" if value is None else str(value)
 
 
+def tell_disagreement(movie: Any, model: Model) -> None:
+    """One note where the movie is not what the model says: its shape and length are then the movie's."""
+    timing = model.acquisition
+    n_frames, height, width = movie.data.shape
+    if (n_frames, height, width) != (timing.n_frames, *timing.shape_px):
+        said = f"{timing.n_frames} frames of {timing.shape_px[0]} × {timing.shape_px[1]} px"
+        note(f"the movie has {n_frames} frames of {height} × {width} px, the model says {said}: the movie's count")
+    size_nm = movie.pixel_size_nm
+    if size_nm is not None and abs(size_nm / timing.pixel_size_nm - 1) > 0.01:
+        note(f"the movie's pixels are {size_nm:g} nm, the model's {timing.pixel_size_nm:g} nm: the model's count")
+
+
+def note(text: str) -> None:
+    """A line for the user that is no result: told on stderr when the work is done."""
+    warnings.warn(text, stacklevel=2)
+
+
 @contextlib.contextmanager
-def scratch(beside: Path, shape: tuple[int, ...], dtype: Any, *, in_memory: bool) -> Iterator[Any]:
-    """An array to work in: in memory, or in a temporary file beside the output for movies larger than that."""
-    import numpy as np
+def filling(out: Path, model: Model, seed: int | None = None, inputs: Sequence[Path | None] = ()) -> Iterator[Path]:
+    """The folder of a verb's output, whole or not there, with where it comes from."""
+    from napari_mufasa import files
 
-    if in_memory:
-        yield np.empty(shape, dtype)
-        return
-    import tempfile
+    made = provenance.provenance(model, seed, inputs)
+    with files.filling(out) as folder:
+        yield folder
+        files.write_json(folder / f"{(made['command'] or 'python').split()[0]}.{provenance.FILE}", made)
 
-    with tempfile.NamedTemporaryFile(prefix=f".{beside.name}-", dir=beside.parent) as file:
-        yield np.memmap(file.name, dtype=dtype, mode="w+", shape=shape)
+
+def tell_origin(out: Path, model: Model | None = None, inputs: Sequence[Path | None] = ()) -> None:
+    """NAME.provenance.json beside a file that cannot hold where it comes from."""
+    from napari_mufasa import files
+
+    files.write_json(out.with_name(f"{out.name}.{provenance.FILE}"), provenance.provenance(model, None, inputs))

@@ -24,6 +24,9 @@ Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
 Say = Callable[[str], Any]
 
+#: What it writes into its folder, as patterns.
+WRITTEN = ("*.ome.tif", "*.json", "*.csv", "*.png", "diagnosis")
+
 #: What the demonstration may hide: effects of molecules, light and motion.
 KINDS = (
     "triplet_blinking", "photobleaching", "delayed_activation", "brightness_heterogeneity", "laser_drift",
@@ -96,8 +99,8 @@ def investigate(
     say("Diagnosing …")
     report = discover.diagnose(movie, model, dark, progress=progress, cancel=cancel)
     folder = directory / "diagnosis"
-    folder.mkdir(exist_ok=True)
-    html_report.export(folder, report, traces.traces, f"{n_frames} frames of {height} × {width} px")
+    with files.filling(folder) as filled:
+        html_report.export(filled, report, traces.traces, f"{n_frames} frames of {height} × {width} px")
     for line in summary(report):
         say(line)
     error = report.error
@@ -110,7 +113,7 @@ def investigate(
     pictures = [*figures.comparison_drawings(after), figures.movie_drawing("movie", movie, "ADU")]
     pictures.append(figures.movie_drawing("denoised", photons, "photons"))
     for drawing in pictures:
-        (directory / f"{drawing.name}.png").write_bytes(drawing.render("light"))
+        files.write_bytes(directory / f"{drawing.name}.png", drawing.render("light"))
     say(f"Report: {folder / 'report.html'}")
     return report
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,10 +11,12 @@ import typer
 from napari_mufasa.cli import console
 from napari_mufasa.cli.measuring import trace_table
 from napari_mufasa.cli.options import (
+    Budget,
     DarkFile,
     ModelFile,
     MovieFile,
     OutFolder,
+    Overwrite,
     Seed,
     TraceBackground,
     TraceProfile,
@@ -23,6 +26,17 @@ from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.discover.result import Report
+    from napari_mufasa.model.model import Model
+
+WRITTEN = (
+    "report.json",
+    "report.html",
+    "model.json",
+    "observables.csv",
+    "*.png",
+    "diagnose.provenance.json",
+    "refine.provenance.json",
+)
 
 
 def diagnose(
@@ -31,34 +45,37 @@ def diagnose(
     out: OutFolder,
     dark: DarkFile = None,
     seed: Seed = 1,
+    budget: Budget = None,
     traces: Annotated[
         bool, typer.Option("--traces", help="MOVIE is a table of traces instead: CSV, TIFF, HDF5 or .traces.")
     ] = False,
     unit: TraceUnit = None,
     profile: TraceProfile = None,
     with_background: TraceBackground = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
     from napari_mufasa import discover, files
     from napari_mufasa.model.model import Model
 
-    console.check_folder_out(out)
+    console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark)
     believed = Model.from_json(model)
     if traces:
         if dark is not None:
-            raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
+            raise MufasaError("--dark belongs to a movie; traces have their background taken off or not: drop it")
         table = trace_table(movie, unit, profile, with_background)
         with console.working("diagnosing") as work:
-            report = discover.diagnose_traces(**table, model=believed, seed=seed, **work.both())
-        _finish(out, report, table["traces"], "{}: {} traces of {} frames".format(movie.name, *table["traces"].shape))
+            report = discover.diagnose_traces(**table, model=believed, seed=seed, budget=budget, **work.both())
+        subtitle = "{}: {} traces of {} frames".format(movie.name, *table["traces"].shape)
+        _finish(out, report, table["traces"], subtitle, [movie, model])
         return
     for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
         if given is not None:
             raise MufasaError(f"{name} belongs to a table of traces; add --traces if this is one")
-    recorded, background = files.load(movie), None if dark is None else files.load(dark)
+    recorded, background = _loaded(movie, believed), None if dark is None else files.load(dark)
     with console.working("diagnosing") as work:
-        report = discover.diagnose(recorded, believed, background, seed=seed, **work.both())
-    _finish_movie(out, report, movie, recorded, background)
+        report = discover.diagnose(recorded, believed, background, seed=seed, budget=budget, **work.both())
+    _finish_movie(out, report, recorded, background, [movie, model, dark])
 
 
 def refine(
@@ -70,18 +87,26 @@ def refine(
     out: OutFolder,
     dark: DarkFile = None,
     seed: Seed = 1,
+    overwrite: Overwrite = False,
 ) -> None:
     """Add the effects you name, fit them, and show how the error changes."""
     from napari_mufasa import discover, files
     from napari_mufasa.model.model import Model
 
-    console.check_folder_out(out)
+    console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark)
     believed = Model.from_json(model)
     effects = [_effect(believed, text) for text in add]
-    recorded, background = files.load(movie), None if dark is None else files.load(dark)
+    recorded, background = _loaded(movie, believed), None if dark is None else files.load(dark)
     with console.working("refining") as work:
         report = discover.refine(recorded, believed, effects, background, seed=seed, **work.both())
-    _finish_movie(out, report, movie, recorded, background)
+    _finish_movie(out, report, recorded, background, [movie, model, dark])
+
+
+def _loaded(movie: Path, model: Model) -> Any:
+    from napari_mufasa import files
+
+    console.tell_disagreement(files.read_movie(movie), model)
+    return files.load(movie)
 
 
 def _effect(model: Any, text: str) -> Any:
@@ -90,20 +115,19 @@ def _effect(model: Any, text: str) -> Any:
     return effect if ":" in text else effect.kind
 
 
-def _finish_movie(out: Path, report: Report, movie: Path, recorded: Any, background: Any) -> None:
+def _finish_movie(out: Path, report: Report, recorded: Any, background: Any, read: list[Path | None]) -> None:
     from napari_mufasa.report import figures
 
     n_frames, height, width = recorded.shape
-    subtitle = f"{movie.name}: {n_frames} frames of {height} × {width} px"
-    _finish(out, report, figures.traces_to_show(recorded, report.base, background), subtitle)
+    subtitle = f"{read[0].name if read[0] else None}: {n_frames} frames of {height} × {width} px"
+    _finish(out, report, figures.traces_to_show(recorded, report.base, background), subtitle, read)
 
 
-def _finish(out: Path, report: Report, traces: Any, subtitle: str) -> None:
-    from napari_mufasa import files
+def _finish(out: Path, report: Report, traces: Any, subtitle: str, read: Sequence[Path | None]) -> None:
     from napari_mufasa.report import html as html_report
     from napari_mufasa.report.words import summary
 
-    with files.filling(out) as folder:
+    with console.filling(out, report.base, report.seed, read) as folder:
         html_report.export(folder, report, traces, subtitle)
     for line in summary(report):
         typer.echo(line)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from napari_mufasa import provenance
 from napari_mufasa.cli import console
-from napari_mufasa.cli.options import EngineName, ModelFile, Seed
+from napari_mufasa.cli.options import EngineName, ModelFile, Overwrite, Resume, Seed
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
     from napari_mufasa.simulate.movie import SimulatedAcquisition
+
+TRUTH = ("emission.csv", "positions.csv", "simulate.provenance.json")
 
 
 def simulate(
@@ -35,6 +40,8 @@ def simulate(
         Path | None, typer.Option("--truth", metavar="DIR", help="Also write emission.csv and positions.csv.")
     ] = None,
     seed: Seed = 0,
+    overwrite: Overwrite = False,
+    resume: Resume = False,
 ) -> None:
     """Simulate a movie; the whole model and the seed travel in its metadata."""
     import numpy as np
@@ -43,9 +50,10 @@ def simulate(
     from napari_mufasa.simulate.layout import read_positions
     from napari_mufasa.simulate.movie import SimulatedAcquisition
 
-    console.check_movie_out(out)
+    console.check_movie_out(out, overwrite)
+    console.check_not_read(out, model, positions)
     if truth is not None:
-        console.check_folder_out(truth)
+        console.check_folder_out(truth, overwrite, TRUTH, positions)
     asked = {"sample.n_molecules": n_molecules, "acquisition.n_frames": frames, "acquisition.shape_px": shape}
     chosen = _chosen_model(preset, model).with_values({k: v for k, v in asked.items() if v is not None})
     for text in effect or []:
@@ -57,13 +65,22 @@ def simulate(
         places = places[:n_molecules]
     if places is not None:  # the model in the metadata says what the movie holds
         chosen = chosen.with_values({"sample.n_molecules": len(places)})
+    movie_shape = (chosen.acquisition.n_frames, *chosen.acquisition.shape_px)
+    console.check_room(out, 2 * math.prod(movie_shape))
     acquisition = SimulatedAcquisition(chosen, places, seed, engine)
-    movie_shape = (acquisition.n_frames, *chosen.acquisition.shape_px)
     with console.working("simulating") as work:
-        blocks = (block.movie for _, block in acquisition.blocks(**work.both()))
-        files.write_movie(out, blocks, movie_shape, np.uint16, model=chosen, seed=seed)
+
+        def blocks(first: int) -> Iterator[tuple[int, Any]]:
+            for span, block in acquisition.blocks(first=first, **work.both()):
+                yield span.start, block.movie
+
+        at = acquisition.scene.positions_px
+        made_from = {"model": chosen.to_dict(), "seed": seed, "engine": engine, "positions": at}
+        files.write_movie(
+            out, blocks, movie_shape, np.uint16, model=chosen, seed=seed, resume=made_from if resume else None
+        )
     if truth is not None:
-        _write_truth(truth, acquisition)
+        _write_truth(truth, acquisition, (model, positions))
     n = len(acquisition.scene.positions_px)
     typer.echo(f"{out}: {movie_shape[0]} frames of {movie_shape[1]} × {movie_shape[2]} px, {n} molecules, seed {seed}")
 
@@ -77,7 +94,7 @@ def _chosen_model(preset: str | None, path: Path | None) -> Model:
     return find_preset(preset) if preset is not None else Model.from_json(path or "")
 
 
-def _write_truth(directory: Path, acquisition: SimulatedAcquisition) -> None:
+def _write_truth(directory: Path, acquisition: SimulatedAcquisition, read: Sequence[Path | None]) -> None:
     import numpy as np
     import pandas as pd
 
@@ -87,7 +104,7 @@ def _write_truth(directory: Path, acquisition: SimulatedAcquisition) -> None:
     photons = acquisition.emission[molecule, frame]
     emission = pd.DataFrame({"molecule": molecule, "frame": frame, "photons": photons})
     positions = pd.DataFrame(acquisition.scene.positions_px, columns=["y_px", "x_px"])
-    with files.filling(directory) as folder:
+    with console.filling(directory, acquisition.model, acquisition.seed, read) as folder:
         files.write_table(folder / "emission.csv", emission)
         files.write_table(folder / "positions.csv", positions.rename_axis("molecule").reset_index())
 
@@ -138,6 +155,7 @@ def design(
         typer.Option("--vary", metavar="PATH=V1,V2,…", help="A value of the model to vary; may be repeated."),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="TABLE.csv", help="Write the table as CSV.")] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Predict signal, noise, life time and detectability before taking the movie."""
     from napari_mufasa import files
@@ -145,10 +163,13 @@ def design(
     from napari_mufasa.model.model import Model
 
     if out is not None:
-        console.check_file_out(out)
-    table = sweep(Model.from_json(model), dict(_parse_vary(text) for text in vary or []))
+        console.check_file_out(out, overwrite)
+        console.check_not_read(out, model)
+    believed = Model.from_json(model)
+    table = sweep(believed, dict(_parse_vary(text) for text in vary or []))
     if out is not None:
         files.write_table(out, table)
+        console.tell_origin(out, believed, (model,))
     turned = table.astype(object).where(table.notna(), None).T
     head = ("quantity", *(f"case {i + 1}" for i in range(len(table)))) if len(table) > 1 else ("quantity", "value")
     console.print_table(head, [(name, *row) for name, row in zip(turned.index, turned.to_numpy(), strict=True)])
@@ -165,13 +186,16 @@ def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where to write.")] = Path("demo"),
     seed: Seed = 1,
     viewer: Annotated[bool, typer.Option("--viewer", help="Open the result in napari at the end.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Hide an effect in a simulated movie, find it from the files alone, then open the envelope."""
-    from napari_mufasa.cli.demo import open_viewer, run
+    from napari_mufasa import files
+    from napari_mufasa.cli.demo import WRITTEN, open_viewer, run
 
-    console.check_folder_out(out)
+    console.check_folder_out(out, overwrite, WRITTEN)
     with console.working("demo") as work:
         run(out, seed, say=typer.echo, **work.both())
+    files.write_json(out / "demo.provenance.json", provenance.provenance(None, seed))
     if viewer:
         open_viewer(out)
 

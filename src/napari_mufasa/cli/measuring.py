@@ -1,9 +1,9 @@
-"""Verbs that start from a movie and a camera: denoise, traces, compare, calibrate."""
+"""Verbs that start from a movie and a camera: denoise, traces, compare."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,6 @@ import typer
 from napari_mufasa.cli import console
 from napari_mufasa.cli.options import (
     Best,
-    CameraName,
     DarkFile,
     FollowDrift,
     MaxSteps,
@@ -20,7 +19,9 @@ from napari_mufasa.cli.options import (
     ModelFile,
     MovieFile,
     OutFolder,
+    Overwrite,
     ProfileName,
+    Resume,
     Seed,
     ThresholdName,
     TimesName,
@@ -33,13 +34,15 @@ from napari_mufasa.cli.options import (
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
-    from napari_mufasa.calibrate.value import Value
+    from napari_mufasa import files
+    from napari_mufasa.model.model import Model
     from napari_mufasa.model.setup import Camera
     from napari_mufasa.report.figures import Drawing
     from napari_mufasa.traces.extract import TraceSet
 
-IN_MEMORY_BYTES = 2**30
-BLOCK = 64  # frames written at a time
+# What verbs write, as patterns.
+TRACES = ("traces.csv", "molecules.csv", "traces.h5", "molecules.png", "traces.png", "traces.provenance.json")
+COMPARISON = ("report.json", "w1.png", "counts.png", "distributions.png", "traces.png", "compare.provenance.json")
 
 
 def denoise(
@@ -51,35 +54,48 @@ def denoise(
         typer.Option("--dark", metavar="DARK", help="Or frames without light: an EMCCD is measured on the data."),
     ] = None,
     method: Annotated[MethodName, typer.Option("--method", help="Which estimator.")] = "pure-let-movie",
+    overwrite: Overwrite = False,
+    resume: Resume = False,
 ) -> None:
     """Estimate the light: photons per pixel and frame, float32."""
     import numpy as np
 
     from napari_mufasa import files
-    from napari_mufasa.denoise.pipeline import denoise as run
-    from napari_mufasa.denoise.pipeline import measured_camera
+    from napari_mufasa.denoise.pipeline import denoised, measured_camera
     from napari_mufasa.model.model import Model
 
     if (model is None) == (dark is None):
         raise MufasaError(
             "give --model MODEL.json, which holds the camera, or --dark DARK, frames without light to measure it on"
         )
-    console.check_movie_out(out)
+    console.check_movie_out(out, overwrite)
+    console.check_not_read(out, movie, model, dark)
     believed = None if model is None else Model.from_json(model)
-    recorded = files.read_movie(movie).data
-    size_nm = None if believed is None else believed.acquisition.pixel_size_nm
-    in_memory = 4 * math.prod(recorded.shape) <= IN_MEMORY_BYTES
-    with console.scratch(out, recorded.shape, np.float32, in_memory=in_memory) as result:
-        with console.working("denoising") as work:
-            background = None if dark is None else files.load(dark)
-            camera = believed.camera if believed is not None else measured_camera(recorded, background, work.cancel)
-            run(recorded, camera, method=method, out=result, **work.both())
-        blocks = (result[start : start + BLOCK] for start in range(0, len(result), BLOCK))
-        files.write_movie(out, blocks, recorded.shape, np.float32, pixel_size_nm=size_nm)
+    read = files.read_movie(movie)
+    recorded = read.data
+    if believed is not None:
+        console.tell_disagreement(read, believed)
+    console.check_room(out, 4 * math.prod(recorded.shape))
+    with console.working("denoising") as work:
+        background = None if dark is None else files.load(dark)
+        camera = believed.camera if believed is not None else measured_camera(recorded, background, work.cancel)
+
+        def blocks(first: int) -> Iterator[tuple[int, Any]]:
+            yield from denoised(recorded, camera, method=method, first=first, **work.both())
+
+        made_from = {"denoise": method, "camera": camera.model_dump(mode="json"), **files.signature(movie)}
+        files.write_movie(
+            out, blocks, recorded.shape, np.float32, pixel_size_nm=_pixel_size_nm(believed, read),
+            resume=made_from if resume else None,
+        )  # fmt: skip
     if believed is None:
         typer.echo(_camera_measured(camera))
     n_frames, height, width = recorded.shape
     typer.echo(f"{out}: {n_frames} frames of {height} × {width} px, photons per pixel and frame")
+
+
+def _pixel_size_nm(believed: Model | None, movie: files.Movie) -> float | None:
+    return movie.pixel_size_nm if believed is None else believed.acquisition.pixel_size_nm
 
 
 def _camera_measured(camera: Camera) -> str:
@@ -116,6 +132,7 @@ def traces(
     ] = None,
     min_snr: Annotated[float, typer.Option("--min-snr", min=0, metavar="R", help="Level over noise per frame.")] = 1.0,
     hdf5: Annotated[bool, typer.Option("--hdf5", help="Also write traces.h5, traces and table in one file.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
     from napari_mufasa import files
@@ -123,9 +140,11 @@ def traces(
     from napari_mufasa.traces import extract_traces
     from napari_mufasa.traces.table import write_traces
 
-    console.check_folder_out(out)
+    console.check_folder_out(out, overwrite, TRACES, movie, model, dark)
     believed = Model.from_json(model)
-    recorded = files.read_movie(movie).data
+    read = files.read_movie(movie)
+    recorded = read.data
+    console.tell_disagreement(read, believed)
     background = None if dark is None else files.load(dark)
     with console.working("traces") as work:
         found = extract_traces(
@@ -134,7 +153,7 @@ def traces(
             subtract_background=not with_background, threshold=threshold, threshold_value=threshold_value,
             min_snr=min_snr, **work.both(),
         )  # fmt: skip
-    with files.filling(out) as folder:
+    with console.filling(out, believed, None, (movie, model, dark)) as folder:
         write_traces(folder, found, hdf5=hdf5)
         write_figures(folder, _molecules_and_traces(recorded, found))
     _tell_molecules(out, found)
@@ -180,6 +199,7 @@ def compare(
         TimesName, typer.Option("--sofi-times", help="On, off and bleaching times of SOFI: the model's or the tool's.")
     ] = "model",
     seed: Seed = 0,
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure the distance W1 between measurement and model, with baselines and floor."""
     from napari_mufasa import compare as comparing
@@ -188,10 +208,11 @@ def compare(
     from napari_mufasa.report import figures
 
     _check_what_is_compared(movie, traces, dark, unit, max_steps, follow_drift)
-    console.check_folder_out(out)
+    console.check_folder_out(out, overwrite, COMPARISON, movie or traces, model, dark)
     believed = Model.from_json(model)
     shared: dict[str, Any] = {"window": window, "best": best, "seed": seed, "sofi_times": sofi_times}
     if movie is not None:
+        console.tell_disagreement(files.read_movie(movie), believed)
         recorded = files.load(movie)
         background = None if dark is None else files.load(dark)
         with console.working("comparing") as work:
@@ -203,7 +224,7 @@ def compare(
         table = trace_table(traces or Path(), unit, profile, with_background)
         with console.working("comparing") as work:
             result = comparing.compare_traces(**table, model=believed, **shared, **work.both())
-    with files.filling(out) as folder:
+    with console.filling(out, believed, seed, (movie or traces, model, dark)) as folder:
         files.write_json(folder / "report.json", result.report())
         write_figures(folder, figures.comparison_drawings(result))
     rows = [(name, value) for name, value in result.w1.items() if name != "unit"]
@@ -218,9 +239,9 @@ def _check_what_is_compared(
     if (movie is None) == (traces is None):
         raise MufasaError("give either a MOVIE or --traces FILE")
     if movie is not None and unit is not None:
-        raise MufasaError("--unit belongs to --traces; a movie is in ADU")
+        raise MufasaError("--unit belongs to --traces; a movie is in ADU: drop it")
     if traces is not None and dark is not None:
-        raise MufasaError("--dark belongs to a movie; traces have their background taken off or not")
+        raise MufasaError("--dark belongs to a movie; traces have their background taken off or not: drop it")
     if traces is not None and (max_steps is not None or drift):
         raise MufasaError("--max-steps and --follow-drift choose molecules in a movie; give one, or drop them")
 
@@ -241,59 +262,9 @@ def trace_table(
     }
 
 
-def calibrate(
-    movie: MovieFile,
-    out: Annotated[Path, typer.Option("--out", metavar="camera.json", help="The camera part of a model.json.")],
-    dark: DarkFile = None,
-    camera_type: Annotated[CameraName, typer.Option("--type", help="Of the camera.")] = "EMCCD",
-    em_gain: Annotated[float | None, typer.Option("--em-gain", min=1, metavar="G", help="If known.")] = None,
-    electrons_per_adu: Annotated[
-        float | None, typer.Option("--electrons-per-adu", min=1e-6, metavar="E", help="If known.")
-    ] = None,
-    baseline_adu: Annotated[
-        float | None, typer.Option("--baseline-adu", min=0, metavar="B", help="If known, instead of dark frames.")
-    ] = None,
-    quantum_efficiency: Annotated[float, typer.Option("--quantum-efficiency", min=0.01, max=1, metavar="QE")] = 0.9,
-) -> None:
-    """Measure the camera: baseline, read noise and gain, from a movie and its dark frames."""
-    from napari_mufasa import files
-    from napari_mufasa.calibrate.measure import calibrate as measure
-
-    console.check_file_out(out)
-    recorded = files.read_movie(movie).data
-    background = None if dark is None else files.load(dark)
-    with console.working("calibrating") as work:
-        found = measure(
-            recorded, background, camera_type=camera_type, em_gain=em_gain, electrons_per_adu=electrons_per_adu,
-            quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu, **work.both(),
-        )  # fmt: skip
-    section = found.camera.model_dump(mode="json", exclude_none=True)
-    if found.camera.type != "CMOS":
-        section.pop("cmos_gain_curve")
-    files.write_json(out, section)
-    console.print_table(
-        ("measured", "value ± sd"),
-        [
-            ("baseline (ADU)", _measured(found.baseline_adu)),
-            ("read noise (ADU)", _measured(found.read_noise_adu)),
-            ("ADU per photoelectron", _measured(found.adu_per_photoelectron)),
-            ("clock-induced charge (e/px/frame)", _measured(found.clock_induced_charge_e)),
-        ],
-    )
-    for note in found.notes:
-        typer.echo(f"note: {note}")
-    typer.echo(f"{out}: the camera part of a model.json")
-
-
-def _measured(found: Value) -> str:
-    if not math.isfinite(found.value):
-        return "unknown"
-    return str(found) if math.isfinite(found.sd) else f"{found.value:.4g} (given)"
-
-
 def write_figures(folder: Path, drawings: Sequence[Drawing]) -> None:
     for drawing in drawings:
         (folder / f"{drawing.name}.png").write_bytes(drawing.render("light"))
 
 
-VERBS = (denoise, traces, compare, calibrate)
+VERBS = (denoise, traces, compare)

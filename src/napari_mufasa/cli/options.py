@@ -23,7 +23,15 @@ MovieFile = Annotated[Path, typer.Argument(metavar="MOVIE", help="TIFF, OME-TIFF
 ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL.json", help="The model (see 'presets').")]
 DarkFile = Annotated[Path | None, typer.Option("--dark", metavar="DARK", help="Frames without light.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write into.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that are there already.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Keep finished blocks when interrupted, and go on from those of the same run.")
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed gives the same result.")]
+Budget = Annotated[
+    int | None,
+    typer.Option(min=1, metavar="N", help="Simulations that may be spent; 4000 without it, fewer for large movies."),
+]
 
 # which molecules of a movie
 Window = Annotated[

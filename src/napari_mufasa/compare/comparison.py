@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa import checks
 from napari_mufasa.compare.distributions import Distribution, Sample, distributions
 from napari_mufasa.compare.fit import Fit, background_level_e, fit_gain, fit_model, fit_raw_traces
 from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, extract_simulated
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.files.traces import UNITS
 from napari_mufasa.model.model import Model
 from napari_mufasa.simulate.movie import SimulatedAcquisition
+from napari_mufasa.spots.aperture import Profile
 from napari_mufasa.traces import Options, TraceSet, extract_traces
 from napari_mufasa.traces.dynamics import dynamics
+from napari_mufasa.traces.extract import chosen_options
 from napari_mufasa.traces.select import windows
 
 Progress = Callable[[int, int], None]
@@ -98,7 +102,9 @@ def compare_movie(
     ------
     MufasaError : a movie, dark frames or option that cannot be used; no molecule left to compare.
     """
-    options = replace(options or Options(), **changes)
+    _check(model, seed, sofi_times, n_bootstrap)
+    movie = checks.stack(movie)
+    options = chosen_options(options, changes)
     if options.psf_sigma_px is None:
         options = replace(options, psf_sigma_px=model.sigma_px)
     steps = _Steps(progress, 6 if fit else 4, cancel)
@@ -175,7 +181,14 @@ def compare_traces(
     ------
     MufasaError : traces or options that cannot be used.
     """
+    _check(model, seed, sofi_times, n_bootstrap)
+    for name, value, least in (("window", window, 1), ("best", best, 1), ("n_simulated", n_simulated, 2)):
+        if value is not None:
+            checks.whole(value, name, least)
+    checks.choice(profile, "profile", get_args(Profile))
     electrons = to_photoelectrons(traces, model, unit)
+    if window is not None and window > electrons.shape[1]:
+        raise MufasaError(f"window = {window} frames; the traces have {electrons.shape[1]}: give 1 … that")
     n_frames = electrons.shape[1]
     model = model.in_shape(n_frames=n_frames)
     options = Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=background_subtracted)  # type: ignore[arg-type]
@@ -220,20 +233,24 @@ def compare_traces(
 def to_photoelectrons(traces: NDArray[Any], model: Model, unit: str) -> NDArray[np.float64]:
     """Traces (molecule, frame) in photoelectrons from ADU (as recorded, baseline included) or photons."""
     from napari_mufasa import camera as detector
+    from napari_mufasa.camera.readout import without_readout
 
-    array = np.asarray(traces)
-    if array.ndim != 2 or array.size == 0:
-        raise MufasaError(f"traces have shape {array.shape}: needs a non-empty (molecule, frame) array")
-    if not np.isfinite(array).all():
-        raise MufasaError("traces have values that are not finite: drop or fill those frames first")
+    checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    checks.choice(unit, "unit", UNITS)
+    array = checks.table(traces, "traces")
     if unit == "photoelectrons":
         return array.astype(np.float64)
     if unit == "photons":
         return array * model.camera.quantum_efficiency
-    if unit == "adu":
-        plain = model.in_shape(maps=None).camera
-        return detector.photoelectrons(array[:, None, :], plain)[:, 0].astype(np.float64)
-    raise MufasaError(f"unit {unit!r} is unknown: choose 'adu', 'photoelectrons' or 'photons'")
+    plain = without_readout(model.in_shape(maps=None).camera)
+    return detector.photoelectrons(array[:, None, :], plain)[:, 0].astype(np.float64)
+
+
+def _check(model: Any, seed: Any, sofi_times: Any, n_bootstrap: Any) -> None:
+    checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    checks.seed(seed)
+    checks.choice(sofi_times, "sofi_times", get_args(SofiTimes))
+    checks.whole(n_bootstrap, "n_bootstrap", 1)
 
 
 _NOT_MOLECULES = ("narrower than the PSF", "never on")

@@ -122,7 +122,7 @@ class FarApart:
         self.weighing: Weighing | None = None
         if pixel_share is not None and not (self.one_pixel and 0 < pixel_share <= 1):
             raise MufasaError(
-                f"pixel_share = {pixel_share}: a share in 0 … 1 for brightest-pixel traces with their background"
+                f"pixel_share = {pixel_share}: give a share in 0 … 1, for brightest-pixel traces with their background"
             )
         index = np.arange(n_molecules, dtype=np.float64)
         self.positions_px: NDArray[np.float64]

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
 
 Rows = Literal["frames", "traces"]
@@ -163,14 +164,4 @@ def difference_interval(
 
 
 def _traces(value: Any, name: str) -> NDArray[np.float64]:
-    array = np.asarray(getattr(value, "traces", value))
-    if array.dtype.kind not in "buif" and value is not None:
-        raise MufasaError(f"{name} traces hold {array.dtype}: needs real numbers (molecule, frame)")
-    array = array.astype(np.float64)
-    if array.ndim == 1:
-        array = array[None]
-    if array.ndim != 2 or array.size == 0:
-        raise MufasaError(f"{name} traces have shape {array.shape}: needs a non-empty (molecule, frame) array")
-    if not np.isfinite(array).all():
-        raise MufasaError(f"{name} traces have values that are not finite: drop or fill those frames first")
-    return array
+    return checks.table(getattr(value, "traces", value), f"{name} traces").astype(np.float64)

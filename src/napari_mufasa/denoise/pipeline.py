@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import warnings
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -11,10 +13,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from napari_mufasa import camera as cam
-from napari_mufasa.errors import Cancelled, MufasaError, need
+from napari_mufasa import checks
+from napari_mufasa.camera import readout
+from napari_mufasa.errors import Cancelled, MufasaError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -83,33 +87,51 @@ def denoise(
     Cancelled
         ``cancel`` returned True.
     """
-    if method not in get_args(Method):
-        raise MufasaError(f"method is {method!r}; choose one of {', '.join(get_args(Method))}")
+    movie = checks.stack(movie, single=True)
+    shape = tuple(movie.shape)
+    if out is None:
+        checks.affordable(4 * math.prod(shape), f"{shape[0]} denoised frames", "give `out`, an array on disk")
+    result = np.empty(shape, np.float32) if out is None else out
+    if (room := tuple(getattr(result, "shape", ()))) != shape:
+        raise MufasaError(f"out has shape {room}, the movie {shape}; give the same shape")
+    shared: dict[str, Any] = {"dark": dark, "method": method, "excess_noise": excess_noise}
+    for start, block in denoised(movie, camera, **shared, progress=progress, cancel=cancel):
+        result[start : start + len(block)] = block
+    return result
+
+
+def denoised(
+    movie: Any,
+    camera: Camera | None = None,
+    *,
+    dark: Any = None,
+    method: Method = "pure-let-movie",
+    excess_noise: bool = True,
+    first: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """`denoise`, block by block: (first frame of the block, photons (frame, y, x)) in order, for movies larger than
+    memory. Begins with the block that frame ``first`` lies in."""
+    checks.choice(method, "method", get_args(Method))
     from napari_mufasa.model.setup import Camera
 
+    movie = checks.stack(movie, single=True)
     if camera is None:
         camera = measured_camera(movie, dark, cancel)
-    need(camera, Camera, "camera", "give model.camera")
-    shape = tuple(getattr(movie, "shape", np.shape(movie)))
-    if len(shape) == 2:
-        movie, shape = np.asarray(movie)[None], (1, *shape)
-    if len(shape) != 3:
-        raise MufasaError(f"movie has {len(shape)} dimensions {shape}; give (frame, y, x)")
-    if 0 in shape:
-        raise MufasaError(f"movie of shape {shape} is empty; give at least one frame and one pixel")
-    result = np.empty(shape, np.float32) if out is None else out
-    if tuple(result.shape) != shape:
-        raise MufasaError(f"out has shape {tuple(result.shape)}, the movie {shape}; give the same shape")
+    elif dark is not None:
+        warnings.warn("the camera given is used: dark frames are for measuring one where none is given", stacklevel=3)
+    checks.need(camera, Camera, "camera", "give model.camera")
+    shape = tuple(movie.shape)
     worker = _Frames(movie, camera, shape, method, excess_noise)
     worker.learn(cancel)
-    block = block_frames(shape)
-    for start in range(0, shape[0], block):
+    size = block_frames(shape)
+    for start in range(first // size * size, shape[0], size):
         _stop_if(cancel)
-        stop = min(start + block, shape[0])
-        result[start:stop] = cam.photons(worker.block(start, stop), camera)
+        stop = min(start + size, shape[0])
+        yield start, cam.photons(worker.block(start, stop), camera)
         if progress is not None:
             progress(stop, shape[0])
-    return result
 
 
 def block_frames(shape: tuple[int, ...]) -> int:
@@ -139,8 +161,8 @@ class _Frames:
         self.movie, self.camera, self.shape = movie, camera, shape
         # A single frame has no past or future: what is best for single frames is best for it.
         self.method = "pure-let-patches" if method == "pure-let-movie" and shape[0] == 1 else method
-        self.multiplied = camera.type == "EMCCD" and excess_noise
-        self.alpha = cam.multiplication_noise(camera) if self.multiplied else 1.0
+        self.alpha = cam.multiplication_noise(camera) if excess_noise else 1.0
+        self.multiplied = self.alpha > 1
         from .temporal import NEIGHBOURS, Learnt
 
         self.learnt = Learnt(None, 1.0, 0.0, 0.0)
@@ -152,14 +174,12 @@ class _Frames:
     def read(self, start: int, stop: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
         """Recorded frames, or a tile of them, as photoelectrons."""
         counts, camera = np.asarray(self.movie[(slice(start, stop), *tile)]), part_of(self.camera, tile)
-        if not np.issubdtype(counts.dtype, np.number) or np.iscomplexobj(counts):
-            raise MufasaError(f"movie has type {counts.dtype}; give real numbers (ADU)")
         if counts.dtype.kind == "f" and not np.all(np.isfinite(counts)):
             raise MufasaError(
-                f"movie frames {start} to {stop - 1} hold values that are not finite; replace them before denoising"
+                f"movie frames {start} to {stop - 1} hold values that are not finite: crop or fill them first"
             )
         cam.check_counts(counts, camera)
-        return cam.photoelectrons(counts, camera)
+        return cam.photoelectrons(counts, camera, start)
 
     def noise(self, electrons: Array, tile: tuple[slice, ...] = ()) -> Any:
         """Noise of one frame of photoelectrons, or a tile of it; the read noise is seen through the gain's slope."""
@@ -218,7 +238,7 @@ class _Frames:
         if self.method == "none":
             return self.read(start, stop)
         if self.method == "source":
-            return source_recipe(np.asarray(self.movie[start:stop]), self.camera)
+            return source_recipe(np.asarray(self.movie[start:stop]), self.camera, start)
         from . import patches
         from .purelet import LEVELS
         from .temporal import apply_frame, sights
@@ -262,6 +282,8 @@ def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
     pixels, because the pixel's own noise would choose its own slope.
     """
     variance_e2 = np.square(cam.read_noise_map_e(camera))
+    if camera.readout_kernel:
+        variance_e2 = variance_e2 * np.float32(readout.undone_noise_power(camera))
     slope: Any = np.float32(1.0)
     if camera.type == "EMCCD":
         slope = np.float32(camera.em_gain or 1.0)
@@ -276,14 +298,14 @@ def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
     return np.broadcast_to(np.asarray(variance_e2 / np.square(slope), np.float32), electrons.shape)
 
 
-def source_recipe(counts: Array, camera: Camera) -> NDArray[np.float32]:
+def source_recipe(counts: Array, camera: Camera, first_frame: int = 0) -> NDArray[np.float32]:
     """The source note's pipeline, literally: shrinkage of the read noise, gain undone, plain Poisson denoiser."""
     from .wavelet import anscombe_wavelet, bayes_shrink
 
-    electrons = cam.output_electrons(counts, camera)
+    electrons = cam.output_electrons(counts, camera, first_frame)
     sigma = float(np.sqrt(np.mean(np.square(cam.read_noise_map_e(camera)))))
     smooth = np.stack([bayes_shrink(frame, sigma) for frame in electrons])
     # The camera module inverts counts: hand the smoothed electrons back as (fractional) counts.
     as_counts = (smooth + camera.read_noise_mean_e) / camera.electrons_per_adu + cam.baseline_map_adu(camera) - 0.5
-    inputs = cam.photoelectrons(as_counts, camera)
+    inputs = cam.photoelectrons(as_counts, camera.model_copy(update={"baseline_alternation_adu": 0.0}))
     return np.stack([anscombe_wavelet(frame) for frame in inputs])

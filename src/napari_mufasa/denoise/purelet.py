@@ -231,5 +231,5 @@ def checked(
     values = np.ascontiguousarray(data - offset if offset else data, dtype=np.float32)
     if not np.all(np.isfinite(values)):
         bad = int(np.count_nonzero(~np.isfinite(values)))
-        raise MufasaError(f"image holds {bad} values that are not finite; replace them before denoising")
+        raise MufasaError(f"image holds {bad} values that are not finite: crop or fill them first")
     return values, spread * spread

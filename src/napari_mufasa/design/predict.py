@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from napari_mufasa import checks
 from napari_mufasa.camera.detector import multiplication_noise
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics import rates
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from napari_mufasa.model.model import Model
 
 MAX_POINTS = 1000
 
@@ -69,6 +69,9 @@ class Prediction:
 
 def predict(model: Model) -> Prediction:
     """What to expect of a model, by formulas: no movie is simulated, and effects are left out."""
+    from napari_mufasa.model.model import Model
+
+    checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     dye, light, optics, timing = model.fluorophore, model.excitation, model.optics, model.acquisition
     k01 = rates.excitation_rate(dye.extinction_coefficient_per_M_cm, light.power_density_w_per_cm2, light.wavelength_nm)
     k10 = rates.relaxation_rate(dye.lifetime_s)
@@ -131,7 +134,10 @@ def design(model: Model, vary: Mapping[str, Sequence[Any]] | None = None) -> pd.
     """
     import pandas as pd
 
-    vary = vary or {}
+    from napari_mufasa.model.model import Model
+
+    checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    vary = {name: checks.several(values, name) for name, values in (vary or {}).items()}
     n_points = int(np.prod([len(values) for values in vary.values()]))
     if not 1 <= n_points <= MAX_POINTS:
         raise MufasaError(f"the values given make {n_points} combinations: give between 1 and {MAX_POINTS}")
@@ -140,6 +146,18 @@ def design(model: Model, vary: Mapping[str, Sequence[Any]] | None = None) -> pd.
         point = dict(zip(vary, values, strict=True))
         rows.append(point | asdict(predict(model.with_values(point) if point else model)))
     return pd.DataFrame(rows)
+
+
+def numbers() -> dict[str, type]:
+    """Dotted path of every number of a set-up, which can be varied, and whether it is an int or a float."""
+    found: dict[str, type] = {}
+    for part in ("excitation", "fluorophore", "optics", "camera", "acquisition", "sample"):
+        owner: Any = Model.model_fields[part].annotation
+        for name, field in owner.model_fields.items():
+            kinds = {int: int, float: float, int | None: int, float | None: float}
+            if field.annotation in kinds:
+                found[f"{part}.{name}"] = kinds[field.annotation]
+    return found
 
 
 @dataclass(frozen=True)

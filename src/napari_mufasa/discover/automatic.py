@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from napari_mufasa import checks
 from napari_mufasa.discover.investigation import Investigation, TraceInvestigation
-from napari_mufasa.discover.result import Candidate, Report
+from napari_mufasa.discover.result import Report
+from napari_mufasa.discover.rules import FORM_FIRST
 from napari_mufasa.effects import Effect
+from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
 
@@ -18,13 +21,15 @@ def diagnose(
     *,
     seed: int = 1,
     effects: Sequence[str] | None = None,
-    max_effects: int = 3,
+    max_effects: int | None = None,
+    budget: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Report:
     """Find what a model lacks to explain a movie (docs/discovery.md).
 
-    Effects are added one at a time while the evidence is beyond chance and the held-out error falls.
+    What explains the misfit together is taken up and fitted together; what does not earn its place is taken out again,
+    until nothing more is beyond chance or the budget is spent.
 
     Parameters
     ----------
@@ -33,15 +38,19 @@ def diagnose(
     dark : (frame, y, x) dark frames or None
     seed : the same seed gives the same answer
     effects : kinds to consider; None: the whole catalogue that suits the camera
-    max_effects : so many are added at most
+    max_effects : so many are added at most; None: as many as earn their place
+    budget : simulations that may be spent; None: 4000, fewer of a large movie
     progress : called with (done, in all); cancel : True stops (raises `Cancelled`)
 
     Raises
     ------
     MufasaError : a movie, dark frames, model or kind of effect that cannot be used.
     """
-    inquiry = Investigation(movie, model, dark, seed=seed, effects=effects, progress=progress, cancel=cancel)
-    return _played(inquiry, max_effects)
+    _check(max_effects, budget)
+    inquiry = Investigation(
+        movie, model, dark, seed=seed, effects=effects, budget=budget, progress=progress, cancel=cancel
+    )
+    return play(inquiry, max_effects)
 
 
 def diagnose_traces(
@@ -53,7 +62,8 @@ def diagnose_traces(
     background_subtracted: bool = True,
     pixel_share: float | None = None,
     effects: Sequence[str] | None = None,
-    max_effects: int = 3,
+    max_effects: int | None = None,
+    budget: int | None = None,
     seed: int = 1,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
@@ -68,47 +78,52 @@ def diagnose_traces(
     ----------
     traces … pixel_share : as for `compare_traces`
     effects : kinds to consider; None: those of photophysics and light that a lone trace can show
-    max_effects, seed, progress, cancel : as for `diagnose`
+    max_effects, budget, seed, progress, cancel : as for `diagnose`
 
     Raises
     ------
     MufasaError : traces that are too few or unusable, an unknown effect or option.
     """
+    _check(max_effects, budget)
     inquiry = TraceInvestigation(
         traces, model, unit=unit, profile=profile, background_subtracted=background_subtracted,
-        pixel_share=pixel_share, seed=seed, effects=effects, progress=progress, cancel=cancel,
+        pixel_share=pixel_share, seed=seed, effects=effects, budget=budget, progress=progress, cancel=cancel,
     )  # fmt: skip
-    return _played(inquiry, max_effects)
+    return play(inquiry, max_effects)
 
 
-def _played(inquiry: Investigation, max_effects: int) -> Report:
-    """The whole conversation: effects are added while they convince."""
+def play(inquiry: Investigation, max_effects: int | None) -> Report:
+    """The whole conversation: what explains the misfit is taken up together, fitted together, and what does not earn
+    its place goes again, until nothing promises more, or the budget is spent."""
     inquiry.examine()
-    told: list[Candidate] = []  # the ranking a reader wants is that of the base model
-    while len(inquiry.chosen) < max_effects and inquiry.leads() and inquiry.alarmed():
-        ranking = inquiry.rank()
-        helped = any(inquiry.convincing(candidate) and _holds(inquiry, candidate) for candidate in ranking)
-        if helped:
-            inquiry.simplify()
-            inquiry.reconsider()
-        fitted_now = {c.effect: c for c in inquiry.ranking if c.effect in inquiry.chosen}
-        told = [fitted_now.get(c.effect, c) for c in told] or inquiry.ranking
-        told = sorted(told, key=lambda c: c.effect not in inquiry.chosen)
-        if not helped:
+    ranking = inquiry.rank(0)
+    dismissed: dict[str, set[str]] = {}  # kinds taken out again, and beside which others
+    while not (inquiry.chosen and inquiry.stand.content):
+        stand, known = inquiry.stand, set(inquiry.chosen)
+        but = {kind for kind, beside in dismissed.items() if known <= beside}
+        leads = stand.promising(but) if stand.alarmed or known else []
+        if max_effects is not None:
+            leads = leads[: max(max_effects - len(known), 0)]
+        little = known and (not leads or leads[0][0].gain < FORM_FIRST * (inquiry.first.misfit - stand.misfit))
+        if little and inquiry.exchange(rivals=not leads):
+            pass
+        elif leads and inquiry.affords(len(leads)):
+            inquiry.take_up(leads)
+        else:
             break
-    inquiry.ranking = told
-    inquiry.approach()  # still far off: what is told of the model is what simulations around it show
+        dropped = inquiry.prune()
+        dismissed |= {kind: known | set(inquiry.chosen) | dropped for kind in dropped}
+    if inquiry.chosen and inquiry.stand.content:
+        inquiry.exchange()
+    inquiry.ranking = [candidate for candidate in ranking if candidate.effect not in inquiry.chosen]
     return inquiry.report()
 
 
-def _holds(inquiry: Investigation, candidate: Candidate) -> bool:
-    """Add an effect; take it out again where, once it is settled, there is none of it or it does not help."""
-    before = inquiry.state
-    inquiry.add(candidate)
-    if inquiry.fits[-1].is_some and inquiry.improves(before, inquiry.state, candidate):
-        return True
-    inquiry.undo()
-    return False
+def _check(max_effects: int | None, budget: int | None) -> None:
+    if max_effects is not None:
+        checks.whole(max_effects, "max_effects")
+    if budget is not None:
+        checks.whole(budget, "budget", 1)
 
 
 def refine(
@@ -121,7 +136,7 @@ def refine(
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Report:
-    """The same loop by hand: fit the effects the user names, in order, and report the error (docs/discovery.md).
+    """The same by hand: fit the effects the user names, together, and report the error (docs/discovery.md).
 
     Parameters
     ----------
@@ -134,8 +149,12 @@ def refine(
     MufasaError : a movie, dark frames, model or effect that cannot be used.
     """
     add = [add] if isinstance(add, (str, Effect)) else add
+    if not isinstance(add, Iterable) or not (add := list(add)) or not all(isinstance(a, (str, Effect)) for a in add):
+        raise MufasaError("nothing to add: give `add`, a list of kinds of effects, or of effects")
     kinds = [a if isinstance(a, str) else a.kind for a in add]
+    checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    for kind in {effect.kind for effect in model.effects} & set(kinds):
+        raise MufasaError(f"{kind} is in the model already: take it out there first, or add another effect")
     inquiry = Investigation(movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel)
-    for effect in add:
-        inquiry.add(effect)
+    inquiry.add(*add)
     return inquiry.report()

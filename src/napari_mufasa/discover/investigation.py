@@ -10,25 +10,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
+from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
-from napari_mufasa.discover import fit, library, nearing
-from napari_mufasa.discover.contest import Contest
-from napari_mufasa.discover.fit import Fit
-from napari_mufasa.discover.library import View
+from napari_mufasa.discover import joint, library
+from napari_mufasa.discover.coordinates import changed
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
-from napari_mufasa.discover.standing import SECOND, SECOND_SHARE, Standing
+from napari_mufasa.discover.rules import NEAR, RIVAL
+from napari_mufasa.discover.stand import Stand, Worth
+from napari_mufasa.discover.standing import Standing, share_of
+from napari_mufasa.discover.start import SIMULATIONS, begun, started
+from napari_mufasa.discover.state import Lead, State
 from napari_mufasa.discover.trace_bench import TraceBench, candidate_kinds
 from napari_mufasa.effects import Effect, catalogue, effect_class
-from napari_mufasa.errors import MufasaError, need
+from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
-RIVAL = 0.4  # of the first effect's evidence: a rival that is looked at again beside the second one
-NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
+FINALISTS = 5  # leads that are started when a user asks what is missing
+RIVALS = 2  # that are tried in an effect's place
 
 
 class Investigation(Standing):
@@ -41,6 +42,7 @@ class Investigation(Standing):
     dark : (frame, y, x) dark frames or None
     seed : the same seed gives the same answer
     effects : kinds to consider; None: the whole catalogue that suits the camera
+    budget : simulations that may be spent; None: 4000, fewer of a large movie (`rules.BUDGET_VALUES`)
     progress, cancel : see `simulate`
 
     Memory: the (cropped) movie and one simulated movie per core. Raises `MufasaError` on unusable input.
@@ -54,148 +56,181 @@ class Investigation(Standing):
         *,
         seed: int = 1,
         effects: Sequence[str] | None = None,
+        budget: int | None = None,
         progress: Callable[[int, int], None] | None = None,
         cancel: Callable[[], bool] | None = None,
     ) -> None:
         _check(model, seed)
         self.measurement = prepare(movie, model, dark)
         kinds = _suitable(_searched(model) if effects is None else effects, model)
-        super().__init__(MovieBench(self.measurement, seed, progress, cancel), model, kinds)
+        super().__init__(MovieBench(self.measurement, seed, progress, cancel), model, kinds, budget)
 
-    def approach(self) -> None:
-        """Where the model is still far off: simulate the neighbourhood anew around it, its free values moved downhill
-        from where they were fitted or, where that is nearer, nuisance values matched again."""
-        if not self.far_off or self.state is not self.fits[-1].state:
-            return
-        kinds = [kind for kind in self.kinds if kind not in self.chosen]
-        n_free = len(self.state.free)
-        self.bench.plan(
-            self.bench.matching_simulations
-            + nearing.descending_simulations(n_free)
-            + library.expected_simulations(kinds, n_free, self.state.model)
-        )
-        model = nearing.nearer(self.library, self.state, self.model, self.x)
-        model = nearing.descended(self.library, self.state, model, self.x)
-        near = library.build(self.bench, model, kinds, self.chosen, self.state.values)
-        self.views[-1] = View(near, near.base)
+    # Steps --------------------------------------------------------------------------------------------------
 
-    def rank(self) -> list[Candidate]:
-        """What is missing: the leads, the best of them fitted by direct simulation, best first."""
-        self.approach()
-        self._contest = None
-        leads, tried = self.leads(), self.contest.tried
-        self.contest.run(leads, {k: self.needed(forms[0]) for k, forms in leads.items()} if self.fits else None)
-        if not self.fits:
-            self._alone = dict(tried)
-        fitted = sorted(tried.items(), key=lambda item: item[1].score)
+    def rank(self, tries: int = FINALISTS) -> list[Candidate]:
+        """What is missing: the leads, the best of them tried by simulation, best first."""
+        stand = self.stand
+        self.bench.plan(tries * SIMULATIONS)
+        tried: dict[str, State] = {}
+        for kind, forms in list(stand.leads.items())[:tries]:
+            if len(tried) < 2 or forms[0].gain > stand.needed:
+                tried[kind] = started(stand.library, stand.state, forms, stand.x)
+        misfits = {kind: state.misfit(stand.x) for kind, state in tried.items()}
         self.ranking = []
-        for kind, found in fitted:
-            near = tuple(k for k, other in fitted if k != kind and abs(other.score - found.score) < NEAR)
-            self.ranking.append(self._candidate(found, near))
-        for kind, (lead, *_) in leads.items():
-            if kind not in tried:
-                p = self.null.evidence.p(lead.gain)
-                self.ranking.append(Candidate(kind, p, max(lead.gain, 0.0), None, None, lead.start().parameters(), {}))
+        for kind in sorted(tried, key=lambda k: misfits[k]):
+            near = tuple(k for k in tried if k != kind and abs(misfits[k] - misfits[kind]) < NEAR)
+            self.ranking.append(self._tried(kind, tried[kind], near))
+        self.ranking += [self._lead(kind, forms[0]) for kind, forms in stand.leads.items() if kind not in tried]
         return self.ranking
 
-    def add(self, what: str | Effect | Candidate) -> None:
-        """Fit an effect into the model as it stands, and keep it; where misfit is left, in its best form."""
-        kind = what if isinstance(what, str) else what.effect if isinstance(what, Candidate) else what.kind
-        _known(kind)
-        if kind in (effect.kind for effect in self.believed.effects):
-            raise MufasaError(f"{kind} is in the model believed already: take it out there first")
-        if kind in self.chosen:
-            raise MufasaError(f"{kind} is already in the model: undo it first, or add another effect")
-        if kind not in self.contest.tried:
-            self.approach()
-        if isinstance(what, Effect):
-            found = fit.fit_effect(self.library, self.state, what, self.x)
-        else:
-            found = self.contest.fitted(self._starts(kind))
-        found = self.contest.tried[kind] = self.contest.settled(found)
-        near = {c.effect: c.indistinguishable_from for c in self.ranking}.get(kind, ())
-        others = [c for c in self.ranking if c.effect != kind]
-        place = next((i for i, c in enumerate(self.ranking) if c.effect == kind), len(others))
-        self.ranking = [*others[:place], self._candidate(found, near), *others[place:]]
-        self._keep(found)
+    def add(self, *what: str | Effect | Candidate) -> None:
+        """Fit effects into the model as it stands, together with all that is in it already."""
+        stand = self.stand
+        kinds = [w if isinstance(w, str) else w.effect if isinstance(w, Candidate) else w.kind for w in what]
+        for kind in kinds:
+            self._addable(kind)
+        self.bench.plan(len(kinds) * SIMULATIONS + self._settling(len(kinds)))
+        state = stand.state
+        for kind, one in zip(kinds, what, strict=True):
+            if isinstance(one, Effect):
+                state = begun(stand.library, state, [one], stand.x)
+            elif kind in stand.leads:
+                state = started(stand.library, state, stand.leads[kind], stand.x)
+            else:  # not among those considered so far
+                state = begun(stand.library, state, _each_form(effect_class(kind)()), stand.x)
+        self.kinds += [kind for kind in kinds if kind not in self.kinds]
+        self._settle(state)
 
-    def simplify(self) -> None:
-        """Take the first of two effects out again where the second one alone explains as much: a greedy first
-        pick can be wrong."""
-        if len(self.fits) != 2 or (alone := self._alone.get(self.chosen[1])) is None:
-            return
-        if self.library is not self.first_view.library:  # seen from elsewhere: not comparable
-            return
-        bar = self.state.score(self.x) + max(SECOND_SHARE * self.explained, self.null.evidence.at(SECOND))
-        if alone.score < bar + self.null.evidence.at(SECOND):
-            alone = self.contest.settled(alone)
-            if alone.score < bar:
-                self.undo()
-                self.undo()
-                self._rank_first(self._candidate(alone, ()))
-                self._keep(alone)
+    def take_up(self, leads: Sequence[Sequence[Lead]]) -> None:
+        """Fit promising effects into the model together."""
+        stand = self.stand
+        self.bench.plan(len(leads) * SIMULATIONS + self._settling(len(leads)))
+        state = stand.state
+        for forms in leads:
+            state = started(stand.library, state, forms, stand.x)
+        self._settle(state)
 
-    def reconsider(self) -> None:
-        """Of two effects, exchange the first for a rival that explains more now that the second is there: what was
-        named while something else was missing may have stood in for it. Not where more is missing still: far from the
-        measurement everything stands in for something."""
-        if len(self.fits) != 2:
-            return
-        base, first = self.first_view, self.chosen[0]
-        least = base.state.score(self.x) - RIVAL * self._gained[0]
-        rivals = [kind for kind, found in self._alone.items() if kind not in self.chosen and found.score < least]
-        if not rivals:
-            return
-        library = replace(self.library, rays=base.library.rays | self.library.rays)
-        alone = fit.without(library, self.state, first, fit.n_effect(self.fits[1]), self.x)
-        contest = Contest(library, alone.state, self.x, lambda: self.null)
-        contest.tried[first] = fit.fit_effect(library, alone.state, self.fits[0].effect, self.x)
-        contest.run(self._leads(alone.state, {kind: library.rays[kind] for kind in rivals}), None)
-        best = min(contest.tried, key=lambda kind: contest.tried[kind].score)
-        if best == first:
-            return
-        found = contest.settled(contest.fitted([contest.tried[best].effect]))
-        if (lead := self.state.score(self.x) - found.score) > 0 and not found.state.far_off(self.x):
-            self.fits, self._gained = [alone], [base.state.score(self.x) - alone.score]
-            self.views = [base, View(self.library, alone.state)]
-            self._rank_first(self._candidate(found, (first,) if lead < NEAR else ()))
-            self._keep(found)
+    def remove(self, kind: str) -> None:
+        """Take one effect out; the others are fitted anew."""
+        if kind not in self.stand.added:
+            raise MufasaError(f"{kind} was not added: {', '.join(self.stand.added) or 'nothing'} can be taken out")
+        self.bench.plan(joint.REMOVALS + self._settling(0))
+        self._settle(joint.removed(self.stand.library, kind))
 
     def undo(self) -> None:
-        """Take the last effect out again."""
-        if not self.fits:
+        """Take the last step back."""
+        if len(self.stands) < 2:
             raise MufasaError("nothing to undo: no effect was added")
-        self.fits.pop()
-        self._gained.pop()
-        self.views.pop()
+        self.stands.pop()
+
+    def prune(self) -> set[str]:
+        """Take out, one by one, what does not earn its place; what only a whole fit without it can tell is told by
+        one. Returns the kinds taken out."""
+        dropped: set[str] = set()
+        while self.chosen:
+            stand = self.stand
+            doubtful = {
+                k: w for k, w in stand.worths.items() if not stand.is_worth(w) and (k, w) not in stand.confirmed
+            }
+            if not doubtful or not (len(stand.added) == 1 or self.affords(0)):
+                break
+            kind = min(doubtful, key=lambda k: doubtful[k].evidence)
+            if len(stand.added) == 1:
+                self.stands = self.stands[:1]
+                return dropped | {kind}
+            self.remove(kind)
+            lesser = self.stands.pop()
+            evidence = max(lesser.state.score(stand.x) - stand.state.score(stand.x), 0.0)
+            worth = Worth(evidence, lesser.error, doubtful[kind].needed)
+            if stand.is_worth(worth):
+                self.stands[-1] = stand.confirming(kind, worth)
+            else:
+                self.stands[-1] = lesser
+                dropped.add(kind)
+        return dropped
+
+    def exchange(self, rivals: bool = True) -> bool:
+        """Try other forms, and `rivals`, in the place of each effect; keep the first that explains more. What could not
+        be told from an effect is noted with its worth."""
+        for kind in self.stand.added:
+            stand = self.stand
+            if not self.affords(1):
+                return False
+            worth, without = stand.worths[kind], joint.removed(stand.library, kind)
+            tries = self._rivals_tried(without, worth) if rivals else []
+            effect = next(e for e in stand.state.model.effects if e.kind == kind)
+            if not stand.content and (others := [e for e in _each_form(effect) if e.chosen != effect.chosen]):
+                tries.append(begun(stand.library, without, others, stand.x))
+            tries.sort(key=lambda state: state.misfit(stand.x))
+            behind = {t.model.effects[-1].kind: t.misfit(stand.x) - stand.misfit for t in tries}
+            if near := {k: by for k, by in behind.items() if k != kind and by < NEAR}:
+                self.stands[-1] = stand = stand.confirming(kind, replace(worth, rivals=near))
+            if tries and tries[0].misfit(stand.x) < stand.misfit + (0.0 if stand.content else 2 * NEAR):
+                self._settle(tries[0])
+                other = self.stands.pop()
+                if other.state.score(stand.x) < stand.state.score(stand.x) - NEAR and other.error < stand.error:
+                    self.stands[-1] = other
+                    return True
+        return False
+
+    def _rivals_tried(self, without: State, worth: Worth) -> list[State]:
+        """What would explain much of what an effect is worth, started in its place."""
+        stand = self.stand
+        leads = without.screen(stand.x, stand.library.rays)
+        order = sorted(leads, key=lambda kind: -leads[kind][0].gain)
+        promising = [kind for kind in order if leads[kind][0].gain > RIVAL * max(worth.evidence, stand.needed)]
+        return [started(stand.library, without, leads[kind], stand.x) for kind in promising[:RIVALS]]
 
     def report(self, verdict: Verdict | None = None) -> Report:
         """What has been found so far."""
         return compile_report(self, verdict)
 
-    def _keep(self, found: Fit) -> None:
-        self._gained.append(self.contest.evidence(found))
-        self.fits.append(found)
-        self.views.append(View(self.library, found.state))
-
-    def _rank_first(self, candidate: Candidate) -> None:
-        self.ranking = [candidate, *(c for c in self.ranking if c.effect != candidate.effect)]
-
     # Inside -------------------------------------------------------------------------------------------------
 
-    def _candidate(self, found: Fit, near: tuple[str, ...]) -> Candidate:
-        """The case of a fitted effect against the model as it stands."""
-        before, after = self.state.held_out_error(self.x), found.state.held_out_error(self.x)
-        share = float(np.clip((before - after) / max(before - self.state.floor, 1e-9), 0.0, 1.0))
-        gain = max(self.contest.evidence(found), 0.0)
-        p = self.null.evidence.p(gain)
-        return Candidate(found.effect.kind, p, gain, after, share, found.effect.parameters(), found.sd, near)
+    def _settle(self, state: State) -> None:
+        """All free values fitted together, and the neighbourhood simulated anew: a further stand."""
+        last = self.stand
+        near = joint.settled(last.library, state, last.x, self.kinds, self.left)
+        added = tuple(effect.kind for effect in near.base.model.effects if effect.kind in self.kinds)
+        order = [k for k in last.added if k in added] + [k for k in added if k not in last.added]
+        self.stands.append(Stand(near, tuple(order), last.x, last.null, self.first.state))
 
-    def _starts(self, kind: str) -> list[Effect]:
-        leads = self.leads()
-        if kind not in leads:
-            raise MufasaError(f"{kind} was left out of this investigation: name it in `effects`")
-        return [lead.start() for lead in leads[kind]]
+    def _settling(self, n_effects: int) -> int:
+        state = self.state
+        return min(
+            joint.settling_simulations(self.stand.library, self.kinds, len(state.free) + 2 * n_effects, state.model),
+            max(self.left, 1),
+        )
+
+    def _addable(self, kind: str) -> None:
+        _known(kind)
+        if kind in (effect.kind for effect in self.believed.effects):
+            raise MufasaError(f"{kind} is in the model believed already: take it out there first")
+        if kind in self.stand.added:
+            raise MufasaError(f"{kind} is already in the model: undo it first, or add another effect")
+
+    def _tried(self, kind: str, state: State, near: tuple[str, ...]) -> Candidate:
+        """The case of an effect that was started beside the model as it stands."""
+        stand, x = self.stand, self.stand.x
+        effect = next(e for e in state.model_at(state.adjusted(x).moves).effects if e.kind == kind)
+        after = state.held_out_error(x)
+        gain = max(stand.misfit - state.misfit(x), 0.0)
+        return Candidate(
+            kind, self.first.null.evidence.p(gain), gain, after, share_of(stand.error, after, stand.state.floor),
+            effect.parameters(), {}, near,
+        )  # fmt: skip
+
+    def _lead(self, kind: str, lead: Lead) -> Candidate:
+        p = self.first.null.evidence.p(lead.gain)
+        return Candidate(kind, p, max(lead.gain, 0.0), None, None, lead.start().parameters(), {})
+
+
+def _each_form(effect: Effect) -> list[Effect]:
+    """The effect with every choice of form that is searched, its own first."""
+    found = [effect]
+    for name, options in library.choice_fields(type(effect)).items():
+        found += [changed(e, {}, **{name: option}) for e in found for option in options if option != getattr(e, name)]
+    return found
 
 
 class TraceInvestigation(Investigation):
@@ -212,6 +247,7 @@ class TraceInvestigation(Investigation):
         pixel_share: float | None = None,
         seed: int = 1,
         effects: Sequence[str] | None = None,
+        budget: int | None = None,
         progress: Callable[[int, int], None] | None = None,
         cancel: Callable[[], bool] | None = None,
     ) -> None:
@@ -221,11 +257,11 @@ class TraceInvestigation(Investigation):
             traces, model, unit, profile, background_subtracted, pixel_share, seed=seed, progress=progress,
             cancel=cancel,
         )  # fmt: skip
-        Standing.__init__(self, bench, model, kinds)
+        Standing.__init__(self, bench, model, kinds, budget)
 
 
 def _check(model: Model, seed: int) -> None:
-    need(model, Model, "model", "give nm.preset(…) or nm.Model.from_json(…)")
+    checks.need(model, Model, "model", "give nm.preset(…) or nm.Model.from_json(…)")
     Streams(seed)  # raises on a bad seed
 
 
@@ -236,7 +272,7 @@ def _searched(model: Model) -> list[str]:
 
 def _suitable(kinds: Sequence[str], model: Model) -> list[str]:
     """Those that suit the model and are not in it."""
-    wanted = {kind: _known(kind) for kind in ([kinds] if isinstance(kinds, str) else kinds)}
+    wanted = {kind: _known(kind) for kind in checks.words(kinds, "effects")}
     known = {effect.kind for effect in model.effects}
     return [kind for kind, effect in wanted.items() if effect.suits(model) and kind not in known]
 

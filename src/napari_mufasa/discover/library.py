@@ -81,14 +81,6 @@ class Library:
         return np.array(evidence), np.array(misfit)
 
 
-@dataclass(frozen=True)
-class View:
-    """Where an investigation stands, and the simulated neighbourhood from which it is seen."""
-
-    library: Library
-    state: State
-
-
 def _with_noise_of(state: State, rows: Array) -> State:
     """The state with mean, spread and correlation of these simulations (simulation, part, observable)."""
     mean = rows.mean(axis=0)

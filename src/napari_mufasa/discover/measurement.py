@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa import camera as detector
+from napari_mufasa import checks
+from napari_mufasa.camera.darkness import light_in_dark
+from napari_mufasa.camera.frames import Frames
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
@@ -28,6 +33,7 @@ class Measurement:
 
 def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     """Check and crop. Lazy arrays are read only where needed. Raises `MufasaError` on unusable input."""
+    movie = checks.stack(movie)
     shape = _check(movie, "movie")
     notes = []
     frames = min(shape[0], FRAMES)
@@ -43,8 +49,10 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         )
     region = (slice(0, frames), rows, columns)
     data = _counts(np.asarray(movie[region]), "movie", model)
+    Frames(data, model.in_shape(maps=None).camera).check_light()
     dark_data = None
     if dark is not None:
+        dark = checks.stack(dark, "dark")
         dark_shape = _check(dark, "dark stack")
         if dark_shape[1:] != shape[1:]:
             raise MufasaError(
@@ -52,6 +60,8 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
             )
         if dark_shape[0] < 5:
             raise MufasaError(f"{dark_shape[0]} dark frames are too few: give at least 5, better 50")
+        if told := light_in_dark(movie, dark):
+            warnings.warn(told, stacklevel=3)
         dark_data = _counts(np.asarray(dark[: min(dark_shape[0], DARK_FRAMES), rows, columns]), "dark stack", model)
     whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
     here = whole.in_shape(n_frames=frames, region=(rows, columns)).with_values({"sample.layout": "random"})
@@ -59,23 +69,20 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
 
 
 def _check(movie: Any, what: str) -> tuple[int, int, int]:
-    shape = tuple(int(n) for n in getattr(movie, "shape", ()))
-    if len(shape) != 3 or 0 in shape:
-        raise MufasaError(f"the {what} has shape {shape}: needs a non-empty stack (frame, y, x)")
-    if min(shape[1:]) < 24:
-        raise MufasaError(f"the {what} is {shape[1]} × {shape[2]} pixels: a diagnosis needs at least 24 × 24")
-    if np.dtype(movie.dtype).kind not in "uif":
-        raise MufasaError(f"the {what} holds {movie.dtype}: needs counts (ADU)")
-    return shape[0], shape[1], shape[2]
+    n_frames, height, width = (int(n) for n in movie.shape)
+    if min(height, width) < 24:
+        raise MufasaError(f"the {what} is {height} × {width} pixels: a diagnosis needs at least 24 × 24")
+    return n_frames, height, width
 
 
 def _counts(data: NDArray[Any], what: str, model: Model) -> NDArray[np.uint16]:
     if data.dtype.kind == "f" and not np.isfinite(data).all():
         raise MufasaError(f"the {what} holds values that are not numbers: export the raw counts (ADU)")
+    detector.check_counts(data, model.camera)
     if data.min() < 0 or data.max() > 65535:
         raise MufasaError(f"the {what} spans {data.min()} … {data.max()}: needs raw counts from 0 to 65535")
     if data.min() == data.max():
-        raise MufasaError(f"every pixel of the {what} is {data.min()}: nothing was recorded")
+        raise MufasaError(f"every pixel of the {what} is {data.min()}: nothing was recorded; give the raw counts (ADU)")
     return np.ascontiguousarray(np.rint(data) if data.dtype.kind == "f" else data).astype(np.uint16)
 
 

@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-ALARM = 0.02  # chance level of the evidence that raises the alarm
-MISFIT_ALARM = 0.01  # chance level at which the misfit alone raises it
 FREAK = 3.0  # interquartile ranges above the upper quartile: a Gumbel law has 0.3 % beyond
 
 

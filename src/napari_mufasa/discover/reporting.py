@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,77 +9,68 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
-from napari_mufasa.discover import nuisance
-from napari_mufasa.discover.null import ALARM, MISFIT_ALARM
-from napari_mufasa.discover.result import ERROR_UNIT, Candidate, Report, Verdict
+from napari_mufasa.discover import joint, nuisance
+from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
+from napari_mufasa.discover.rules import ALARM, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF
+from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.state import SCALES, State, scaled
 from napari_mufasa.model.model import Model
 
-OFF = 3.0  # an observable further off than so many standard deviations is called failing
-EXPLAINED = 0.6  # share of the removable error that an explanation must remove
-FAR = 1.35  # an error above so many floors is not explained, however far it fell
-STILL_OFF = 0.001  # chance level of what an explanation leaves: of its misfit, and of the observable farthest off
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 NOT_HERE = "not measurable here"  # where an observable is that the measurement or some simulation does not show
+UNSURE = 0.95  # a name that is less sure than this is one of several
 
 
 def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
     """Everything a report holds, from the investigation as it stands."""
-    base, x, final, model = inquiry.first_view.state, inquiry.x, inquiry.state, inquiry.model
-    states = [view.state for view in inquiry.views]
-    errors = [state.held_out_error(x) for state in states]
-    floor = final.floor
-    history: list[dict[str, Any]] = [{"model": "base", "error": errors[0]}]
-    history += [{"added": kind, "error": error} for kind, error in zip(inquiry.chosen, errors[1:], strict=True)]
-    table = _table(inquiry, final)
+    base, final, stand, model = inquiry.first.state, inquiry.state, inquiry.stand, inquiry.model
+    table = _table(inquiry)
     numbers = range(CURVE_SEED, CURVE_SEED + CURVE_SIMULATIONS)
     before = inquiry.bench.observations([(base.model, k) for k in numbers])
-    after = inquiry.bench.observations([(model, k) for k in numbers]) if inquiry.chosen else before
-    verdict = verdict or verdict_of(inquiry, errors, floor)
+    after = inquiry.bench.observations([(model, k) for k in numbers]) if stand.added else before
+    verdict = verdict or verdict_of(inquiry)
     completed = inquiry.bench.restored(model, inquiry.believed)
+    names = _sure_of_names(stand)
     return Report(
         verdict=verdict,
-        error={"before": errors[0], "after": errors[-1], "floor": floor, "unit": ERROR_UNIT},
+        error={"before": inquiry.first.error, "after": stand.error, "floor": final.floor, "unit": ERROR_UNIT},
         failing=_failing(table),
-        ranking=[_as_it_stands(candidate, model) for candidate in inquiry.ranking],
-        chosen=inquiry.chosen,
-        history=history,
+        ranking=[*inquiry.candidates(), *(c for c in inquiry.ranking if c.effect not in stand.added)],
+        chosen=list(stand.added),
+        history=_history(inquiry),
         model=completed,
         base=inquiry.bench.restored(base.model, inquiry.believed),
         observables=table,
         curves=inquiry.bench.curves(before, after),
         seconds=inquiry.seconds,
         seed=inquiry.seed,
-        evidence_needed=inquiry.null.evidence.at(ALARM),
+        evidence_needed=stand.null.evidence.at(ALARM),
         detectable=detectable(inquiry) if verdict == "adequate" else {},
         w1=inquiry.bench.w1(before, after),
         notes=[*inquiry.bench.notes, *_notes(inquiry, verdict, table, completed)],
+        inclusion={kind: round(sure, 4) for kind, (sure, _) in names.items()},
+        alternatives={kind: [kind, *others] for kind, (_, others) in names.items() if others},
+        explained=_explained(inquiry),
+        credibility={"before": _credibility(inquiry.first), "after": _credibility(stand)},
+        remaining=_remaining(table),
+        simulations={"spent": inquiry.bench.done, "budget": inquiry.budget},
     )
 
 
-def _as_it_stands(candidate: Candidate, model: Model) -> Candidate:
-    """An effect that was added has the parameters it has in the model: later steps may have moved them."""
-    effect = next((e for e in model.effects if e.kind == candidate.effect), None)
-    return candidate if effect is None else replace(candidate, parameters=effect.parameters())
-
-
-def verdict_of(inquiry: Standing, errors: list[float], floor: float) -> Verdict:
+def verdict_of(inquiry: Standing) -> Verdict:
     """adequate, missing_effect or unexplained (docs/discovery.md)."""
-    if not inquiry.chosen:
-        if not inquiry.alarmed():
-            return "adequate"
-        if not inquiry.ranking:
-            return "unexplained"
-        # Effects were fitted and none was added (yet). An alarm of the emulator that no fit confirms, or that more
-        # simulations of the fit refute, is chance, unless the misfit as a whole is beyond chance, too.
-        if inquiry.convincing(inquiry.ranking[0]):
+    first, stand = inquiry.first, inquiry.stand
+    left = stand.null.misfit.p(stand.misfit)
+    if not stand.added:
+        tried = [c for c in inquiry.ranking[:1] if c.error_after is not None]
+        if any(c.evidence > stand.needed and (c.error_after or 0.0) < stand.error for c in tried):
             return "missing_effect"
-        return "unexplained" if inquiry.null.misfit.p(inquiry.state.misfit(inquiry.x)) < MISFIT_ALARM else "adequate"
-    share = (errors[0] - errors[-1]) / max(errors[0] - floor, 1e-9)
-    left = inquiry.null.misfit.p(inquiry.state.misfit(inquiry.x))
-    far = share < EXPLAINED or errors[-1] > FAR * floor
-    return "unexplained" if (left < STILL_OFF and far) or _one_is_off(inquiry.state, inquiry.x) else "missing_effect"
+        # An alarm of the emulator that no fit confirms is chance, unless the misfit as a whole is beyond chance, too.
+        return "unexplained" if left < MISFIT_ALARM else "adequate"
+    share = (first.error - stand.error) / max(first.error - stand.state.floor, 1e-9)
+    far = share < EXPLAINED or stand.error > FAR * stand.state.floor
+    return "unexplained" if (left < STILL_OFF and far) or _one_is_off(stand.state, stand.x) else "missing_effect"
 
 
 def _one_is_off(state: State, x: NDArray[np.float64]) -> bool:
@@ -89,15 +79,74 @@ def _one_is_off(state: State, x: NDArray[np.float64]) -> bool:
     return bool(off.max() > stats.norm.isf(STILL_OFF / (2 * off.size)))
 
 
+def _history(inquiry: Standing) -> list[dict[str, Any]]:
+    """The error after each addition: with several, of the final model with the first of its effects, the first two, …,
+    its other values adjusted."""
+    stand = inquiry.stand
+    found: list[dict[str, Any]] = [{"model": "base", "error": inquiry.first.error}]
+    for n, kind in enumerate(stand.added, 1):
+        later = stand.added[n:]
+        error = joint.removed(stand.library, *later).held_out_error(stand.x) if later else stand.error
+        found.append({"added": kind, "error": error})
+    return found
+
+
+def _sure_of_names(stand: Stand) -> dict[str, tuple[float, tuple[str, ...]]]:
+    """How sure the name of each effect in the model is, and its alternatives where it is not.
+
+    Against it stand the model without it, and each rival that explains its share in its place; evidence is twice the
+    log of their odds, divided by Birge's ratio squared where misfit is left.
+    """
+    found = {}
+    for kind, worth in stand.worths.items():
+        scale = 2 * stand.birge**2
+        odds = [
+            np.exp(-max(worth.evidence, 0.0) / scale),
+            *(np.exp(-max(d, 0.0) / scale) for d in worth.rivals.values()),
+        ]
+        sure = float(1 / (1 + sum(odds)))
+        found[kind] = (sure, tuple(worth.rivals) if sure < UNSURE else ())
+    return found
+
+
+def _excess(stand: Stand) -> float:
+    """The misfit beyond what chance leaves, in units of what can just be told from chance (1 %)."""
+    law = stand.null.misfit.law
+    usual = float(law.median())
+    return max(stand.misfit - usual, 0.0) / max(stand.null.misfit.at(MISFIT_ALARM) - usual, 1e-9)
+
+
+def _credibility(stand: Stand) -> float:
+    """How many times fewer molecules or frames before model and movie could not be told apart: what is off grows with
+    their number, what chance does not."""
+    return max(1.0, _excess(stand))
+
+
+def _explained(inquiry: Standing) -> float:
+    before, after = _excess(inquiry.first), _excess(inquiry.stand)
+    return float(np.clip(1 - after / before, 0.0, 1.0)) if before > 0 else 0.0
+
+
+def _remaining(table: pd.DataFrame) -> list[dict[str, Any]]:
+    off = table[table.z_after.abs() > OFF].sort_values("z_after", key=np.abs, ascending=False)
+    return [
+        {
+            "observable": row.observable, "title": row.title, "z": float(row.z_after),
+            "off": float(row.measured - row.after), "unit": row.unit,
+        }
+        for _, row in off.iterrows()
+    ]  # fmt: skip
+
+
 def detectable(inquiry: Standing) -> dict[str, float | None]:
     """The smallest strength of each effect that this data would have shown with 80 % power, by the emulator."""
-    state, null = inquiry.state, inquiry.null
-    threshold = null.evidence.at(ALARM)
+    state = inquiry.state
+    threshold = inquiry.stand.null.evidence.at(ALARM)
     w, spread = state.whiten[0], state.spread[0]
     slope = np.vstack([w @ (state.slopes[0] / spread[:, None]), np.diag(1 / state.prior)])
     q, _ = np.linalg.qr(slope)
     found: dict[str, float | None] = {}
-    for kind, rays in inquiry.library.rays.items():
+    for kind, rays in inquiry.stand.library.rays.items():
         strengths = []
         for ray in rays:
             for scale in sorted({*SCALES, 0.03, 0.06}):
@@ -110,16 +159,16 @@ def detectable(inquiry: Standing) -> dict[str, float | None]:
     return found
 
 
-def _table(inquiry: Standing, final: State) -> pd.DataFrame:
+def _table(inquiry: Standing) -> pd.DataFrame:
     """One row per observable: measured, models, z-scores, free values at their best."""
-    measured, base = inquiry.bench.measured, inquiry.first_view.state
+    measured, base, final, x = inquiry.bench.measured, inquiry.first.state, inquiry.state, inquiry.bench.x
     rows = []
     means, scores = [], []
     for state in (base, final):
-        moves = state.adjusted(inquiry.x).moves
+        moves = state.adjusted(x).moves
         mean = state.mean[0] + state.slopes[0] @ moves
         means.append(np.where(state.measurable, mean, np.nan))
-        scores.append(np.where(state.measurable, (inquiry.x[0] - mean) / state.spread[0], np.nan))
+        scores.append(np.where(state.measurable, (x[0] - mean) / state.spread[0], np.nan))
     for i, name in enumerate(measured.names):
         meaning, known = measured.meanings[name], base.measurable[i] and final.measurable[i]
         rows.append(
@@ -155,6 +204,8 @@ def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: 
         notes.append(
             f"Not shown by every simulation with an effect, and no evidence for or against it there: {'; '.join(gaps)}."
         )
+    if verdict != "adequate" and not inquiry.stand.content and not inquiry.affords(1):
+        notes.append(f"The budget of {inquiry.budget} simulations is spent: more may be missing.")
     left = table[table.z_after.abs() > OFF]
     if inquiry.chosen and len(left):
         worst = left.sort_values("z_after", key=np.abs, ascending=False).title.head(4)

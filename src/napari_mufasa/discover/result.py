@@ -84,6 +84,13 @@ class Report:
     notes : sentences about choices made (crop, subset, what stays off)
     seconds, seed : time by the clock; what chance was drawn from
     w1 : of a table of traces, W1 per frame between it and simulations: before, after, floor, unit; empty for movies
+    inclusion : for each effect added, how sure its name is, 0 … 1, against what would explain as much in its place
+    alternatives : for each effect added that is not told apart: the set of kinds of which one it is
+    explained : share of the misfit beyond chance that the additions take away, 0 … 1
+    credibility : before, after: how many times fewer molecules or frames before nobody could tell model and movie apart
+        (1: they cannot be told apart now)
+    remaining : observables still off, worst first: observable, title, z, off (measured minus model) and its unit
+    simulations : spent, and the budget
     """
 
     verdict: Verdict
@@ -102,6 +109,12 @@ class Report:
     detectable: dict[str, float | None] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     w1: dict[str, Any] = field(default_factory=dict)
+    inclusion: dict[str, float] = field(default_factory=dict)
+    alternatives: dict[str, list[str]] = field(default_factory=dict)
+    explained: float = 0.0
+    credibility: dict[str, float] = field(default_factory=dict)
+    remaining: list[dict[str, Any]] = field(default_factory=list)
+    simulations: dict[str, int] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """report.json of docs/files.md, with the additions a reader wants."""
@@ -118,6 +131,12 @@ class Report:
             "evidence_needed": self.evidence_needed,
             "detectable": self.detectable,
             "notes": self.notes,
+            "inclusion": self.inclusion,
+            "alternatives": self.alternatives,
+            "explained": self.explained,
+            "credibility": self.credibility,
+            "remaining": self.remaining,
+            "simulations": self.simulations,
             **({"w1": self.w1} if self.w1 else {}),
         }
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 from napari_mufasa.discover.coordinates import changed, model_at, room
 from napari_mufasa.discover.metric import SOFT, Adjusted, adjust, at_the_end, stretch
 from napari_mufasa.discover.nuisance import Nuisance
+from napari_mufasa.discover.rules import AT_FLOOR, FAR_OFF
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import PARTS
 
 Array = NDArray[np.float64]
-AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
-FAR_OFF = 2.5  # an error of more floors than this is far off
+TAKEN = 1.5  # how far the strength of a lead that is taken up may move, in its own size
 SCALES = (0.12, 0.25, 0.45, 0.7, 1.0, 1.4)
 
 
@@ -115,6 +116,14 @@ class State:
         """Is so much wrong that several things must be missing?"""
         return self.held_out_error(x) > FAR_OFF * self.floor
 
+    def without(self, kind: str) -> State:
+        """The state whose model lacks one of its effects; its mean is still that of the model with it."""
+        keep = np.array([not path.startswith(f"{kind}.") for path in self.free])
+        effects = tuple(effect for effect in self.model.effects if effect.kind != kind)
+        free = tuple(path for path, stays in zip(self.free, keep, strict=True) if stays)
+        model = self.model.model_copy(update={"effects": effects})
+        return replace(self, model=model, free=free, slopes=self.slopes[:, :, keep], prior=self.prior[keep])
+
     def misfit(self, x: Array) -> float:
         return self.adjusted(x).chi2
 
@@ -123,16 +132,24 @@ class State:
         spread = self.spread[0][self.measurable]
         return self.misfit(x) + 2 * float(np.log(spread).sum() - np.linalg.slogdet(self.whiten[0])[1])
 
-    def screen(self, x: Array, rays: dict[str, list[Ray]]) -> dict[str, list[Lead]]:
-        """Per effect: the largest fall of chi² along any ray of each of its forms, best form first."""
+    def screen(self, x: Array, rays: dict[str, list[Ray]], taken: Sequence[Lead] = ()) -> dict[str, list[Lead]]:
+        """Per effect: the largest fall of chi² along any ray of each of its forms, best form first.
+
+        `taken`: leads that are taken up already; the others are asked what they explain beside them.
+        """
         w = self.whiten[0]
-        start = self.adjusted(x)
         spread = self.spread[0]
+        mean, slopes, prior, room = self.mean[0], self.slopes[0], self.prior, self.room
+        for lead in taken:
+            mean = mean + lead.scale * lead.ray.shift[0]
+            slopes = np.column_stack([slopes, lead.scale * lead.ray.shift[0]])
+            prior, room = np.append(prior, TAKEN / 2), np.column_stack([room, [-TAKEN, TAKEN]])
+        start = adjust(x[0], mean, spread, slopes, prior, room, w)
         # Locally linear: directions of free values are projected out of residual and rays alike.
         local = 1 / np.sqrt(1 + np.sinh(np.clip(start.soft / SOFT, -20, 20)) ** 2)
-        slope = np.vstack([w @ (self.slopes[0] / spread[:, None] * local[:, None]), np.diag(1 / self.prior)])
-        full = np.concatenate([start.residual, -start.moves / self.prior])
-        q, _ = np.linalg.qr(slope[:, ~at_the_end(start.moves, self.room, slope.T @ full)])
+        slope = np.vstack([w @ (slopes / spread[:, None] * local[:, None]), np.diag(1 / prior)])
+        full = np.concatenate([start.residual, -start.moves / prior])
+        q, _ = np.linalg.qr(slope[:, ~at_the_end(start.moves, room, slope.T @ full)])
         raw = stretch(start.soft)
         found: dict[str, list[Lead]] = {}
         for kind, candidates in rays.items():
@@ -144,8 +161,8 @@ class State:
             )
             for ray in candidates:
                 shifts = np.outer(scales, ray.shift[0] / spread)
-                taken = start.soft - SOFT * np.arcsinh((raw - shifts) / SOFT)
-                rest = full - np.pad(taken @ w.T, ((0, 0), (0, len(self.prior))))
+                moved = start.soft - SOFT * np.arcsinh((raw - shifts) / SOFT)
+                rest = full - np.pad(moved @ w.T, ((0, 0), (0, len(prior))))
                 rest -= (rest @ q) @ q.T
                 gains = start.chi2 - (rest**2).sum(axis=1)
                 i = int(np.argmax(gains))

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy import ndimage
 
 from napari_mufasa.camera.detector import Stack
+from napari_mufasa.camera.readout import along_rows, code_begins
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.model.setup import Setup
 from napari_mufasa.simulate.scene import Scene
@@ -80,30 +80,6 @@ class SerialReadout(Effect):
         scene.sensor.noise.append(lambda e, frames: along_rows(e - mean_e, noise) + mean_e)
 
 
-def along_rows(electrons: Stack, weights: NDArray[np.float64]) -> Stack:
-    """Each pixel as the weighted sum of itself and of those before it in its row (x − 1, x − 2 …), which continue level
-    before the first one."""
-    mixed: Stack = ndimage.convolve1d(electrons, weights, axis=-1, mode="nearest", origin=-(len(weights) // 2))
-    return mixed
-
-
-def row_kernel(correlations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The weights of a pixel and of those before it (lag,), first 1, that correlate even noise as given: correlations
-    along a row at lags 1, 2 … (lag − 1,), as dark frames show them; farther lags are taken as none.
-
-    Of all such kernels the one of least delay (by the cepstrum). Correlations that no noise can have are brought down
-    to what it can have.
-    """
-    n = 64 * (len(correlations) + 1)
-    power = 1 + 2 * np.cos(2 * np.pi * np.outer(np.arange(n) / n, np.arange(1, len(correlations) + 1))) @ correlations
-    cepstrum = np.fft.ifft(np.log(np.maximum(power, 1e-3))).real
-    cepstrum[1 : n // 2] *= 2
-    cepstrum[n // 2 + 1 :] = 0
-    weights = np.fft.ifft(np.exp(np.fft.fft(cepstrum) / 2)).real[: len(correlations) + 1]
-    found: NDArray[np.float64] = weights / weights[0]
-    return found
-
-
 class FrameBaseline(Effect):
     kind = "frame_baseline"
     stage = STAGE
@@ -172,18 +148,6 @@ class ConverterCodes(Effect):
         else:
             pattern = np.array(self.widths) if len(self.widths) > 1 else rng.standard_normal(32)
         scene.sensor.code_begins = code_begins(pattern, self.unevenness)
-
-
-def code_begins(pattern: NDArray[np.float64], unevenness: float) -> NDArray[np.float64]:
-    """Where the codes of one period begin, in ADU (period,), of widths 1 + unevenness × the pattern made to have mean
-    0 and rms 1. They lie about the even ones such that a count is right on average."""
-    pattern = pattern - pattern.mean()
-    pattern = pattern / max(float(np.sqrt(np.mean(pattern**2))), 1e-12)
-    widths = np.maximum(1 + unevenness * pattern, 0.0)
-    widths *= len(widths) / widths.sum()
-    begins = np.concatenate([[0.0], np.cumsum(widths)[:-1]])
-    result: NDArray[np.float64] = begins - np.mean(begins - np.arange(len(begins)))
-    return result
 
 
 EFFECTS = (SerialReadout, FrameBaseline, ConverterCodes)

@@ -1,16 +1,17 @@
-"""What napari reads and writes: movies on disk as Image layers, their metadata kept."""
+"""What napari reads and writes: movies on disk as Image layers, their metadata kept; and what such layers hold."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.movies import METADATA_KEY, read_movie, write_movie
+from napari_mufasa.files.movies import METADATA_KEY, complaints, read_movie, write_movie
 
 LayerData = tuple[Any, dict[str, Any], str]
 MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr")
@@ -37,9 +38,9 @@ def is_ours(path: str | os.PathLike[str]) -> bool:
         if name.endswith((".tif", ".tiff")):
             import tifffile
 
-            with tifffile.TiffFile(path) as tiff:
+            with complaints(), tifffile.TiffFile(path) as tiff:
                 return bool(tiff.is_ome and METADATA_KEY in (tiff.ome_metadata or ""))
-    except (OSError, ValueError, AttributeError):  # unreadable: not ours
+    except Exception:  # unreadable: not ours, whatever is wrong with it
         return False
     return False
 
@@ -68,19 +69,88 @@ def movie_layer(path: str | os.PathLike[str]) -> LayerData:
 # writers ------------------------------------------------------------------------------------------------
 def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     """An Image layer as OME-TIFF or zarr, with its model; streamed in blocks of frames."""
-    data = data[0] if attributes.get("multiscale") else data
-    stack = data if data.ndim == 3 else data[np.newaxis] if data.ndim == 2 else None
-    if stack is None or attributes.get("rgb"):
-        raise MufasaError(f"layer has shape {tuple(data.shape)}: a movie is (frame, y, x); save it in another format")
+    try:
+        stack = _stack(data, bool(attributes.get("multiscale")), bool(attributes.get("rgb")))
+    except ValueError as error:
+        raise MufasaError(f"layer has {error}; save it in another format") from None
     stored = attributes.get("metadata", {}).get(METADATA_KEY) or {}
     blocks = (np.asarray(stack[start : start + BLOCK_FRAMES]) for start in range(0, len(stack), BLOCK_FRAMES))
-    units = [str(unit) for unit in attributes.get("units", ())] or ["pixel"]
-    size_um = float(attributes["scale"][-1]) if units[-1] in ("micrometer", "um", "µm") else None
+    size_um = pixel_size_um(attributes["scale"], attributes["units"]) if attributes.get("units") else None
     write_movie(
         path, blocks, tuple(stack.shape), stack.dtype, model=stored.get("model"), seed=stored.get("seed"),
         pixel_size_nm=size_um * 1000 if size_um else None,
     )  # fmt: skip
     return [path]
+
+
+# what layers hold ---------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Measurement:
+    """What was recorded: `movie` and `dark` (frame, y, x) as stored in the layers, possibly lazy; `name` for titles.
+
+    `unit` is "adu" for what a camera recorded, "photons" for a movie that was denoised. `first_frame` is the layer's
+    frame that `movie` begins with: dark frames before it are cut off.
+    """
+
+    movie: Any
+    dark: Any
+    name: str
+    unit: Literal["adu", "photons"] = "adu"
+    first_frame: int = 0
+
+    def recorded(self) -> Measurement:
+        """Itself; raises `MufasaError` when it is not what a camera recorded."""
+        if self.unit != "adu":
+            raise MufasaError(f"{self.name} holds photons, not camera counts: choose the recorded movie in step Data")
+        return self
+
+
+def measurement_of(movie: Any, dark: Any = None, dark_frames: int = 0) -> Measurement:
+    """What layers hold as a measurement; raises `MufasaError` that says what to choose.
+
+    dark : a layer of dark frames; dark_frames : or how many frames of the movie are dark, at its beginning
+    """
+    if movie is None:
+        raise MufasaError("no movie chosen: open one, or File > Open Sample > MUFASA, then choose it in step Data")
+    stack, frames, first = stack_of(movie), None, 0
+    if dark is not None:
+        frames = stack_of(dark)
+    elif dark_frames:
+        first = dark_frames
+        if first >= len(stack):
+            raise MufasaError(
+                f"the first {first} frames are called dark, but {movie.name} has {len(stack)}: give fewer dark frames"
+            )
+        stack, frames = stack[first:], stack[:first]
+    unit: Literal["adu", "photons"] = "photons" if stored(movie, "role") == "photons" else "adu"
+    return Measurement(stack, frames, movie.name, unit, first)
+
+
+def stack_of(layer: Any) -> Any:
+    """The layer's data as (frame, y, x), never copied; raises `MufasaError` when it is no movie."""
+    try:
+        return _stack(layer.data, getattr(layer, "multiscale", False), getattr(layer, "rgb", False))
+    except ValueError as error:
+        raise MufasaError(f"layer {layer.name} has {error}; choose another layer") from None
+
+
+def _stack(data: Any, multiscale: bool, rgb: bool) -> Any:
+    data = data[0] if multiscale else data
+    if rgb or data.ndim not in (2, 3):
+        raise ValueError(f"shape {tuple(data.shape)}: a movie is (frame, y, x)")
+    return data if data.ndim == 3 else data[np.newaxis]
+
+
+def stored(layer: Any, key: str) -> Any:
+    """What the layer's metadata say of us: `model`, `seed`, `role` ("dark frames", "photons" …), `dark_layer`."""
+    ours = layer.metadata.get(METADATA_KEY) if layer is not None else None
+    return ours.get(key) if isinstance(ours, dict) else None
+
+
+def pixel_size_um(scale: Sequence[float], units: Sequence[Any]) -> float | None:
+    """The pixel size in µm that a layer states, if it states one."""
+    factor = {"micrometer": 1.0, "um": 1.0, "µm": 1.0, "nanometer": 1e-3, "nm": 1e-3}.get(str(units[-1]))
+    return float(scale[-1]) * factor if factor is not None else None
 
 
 def movie_space(pixel_size_nm: float) -> dict[str, Any]:

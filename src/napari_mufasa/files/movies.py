@@ -6,18 +6,24 @@ import contextlib
 import json
 import logging
 import uuid
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.files import growing
+from napari_mufasa.files.opening import Guarded, check_zarr, no_other_files
 from napari_mufasa.files.whole import PathLike, replacing
+from napari_mufasa.provenance import Describes, made_by
 
 METADATA_KEY = "napari_mufasa"
+MOST_PACKED = 100_000  # no image is packed to less than this part of it, each page of a TIFF having its own head
 
 
 @dataclass(frozen=True)
@@ -45,12 +51,6 @@ def _pixel_size_nm(model: Mapping[str, Any] | None) -> float | None:
     return None
 
 
-class Describes(Protocol):
-    """What describes a movie in plain data: a `Model`."""
-
-    def to_dict(self) -> dict[str, Any]: ...
-
-
 def is_zarr(path: PathLike) -> bool:
     return Path(path).suffix == ".zarr"
 
@@ -58,87 +58,93 @@ def is_zarr(path: PathLike) -> bool:
 def read_movie(path: PathLike) -> Movie:
     """A movie from TIFF, OME-TIFF or zarr, lazily; a single 2-D image becomes one frame.
 
-    Raises `MufasaError` when the file is missing, truncated, empty, not numeric or not (frame, y, x).
+    Raises `MufasaError` when the file is missing, truncated, empty, not numeric or not (frame, y, x), and for anything
+    in it that would open other files or run code. Blocks that turn out to be damaged raise it when they are read.
     """
     path = Path(path)
     if not path.exists():
         raise MufasaError(f"no file {path}: give a TIFF, OME-TIFF or zarr movie")
+    if not (path.is_file() or path.is_dir()):
+        raise MufasaError(f"{path} is neither file nor folder: give a TIFF, OME-TIFF or zarr movie")
     try:
-        data, metadata = _open_zarr(path) if is_zarr(path) or path.is_dir() else _open_tiff(path)
+        array, metadata = _open_zarr(path) if is_zarr(path) or path.is_dir() else _open_tiff(path)
     except MufasaError:
         raise
+    except RecursionError:
+        raise MufasaError(f"{path} is not a readable TIFF or zarr movie (nested too deep): export it anew") from None
     except Exception as error:
         raise MufasaError(f"{path} is not a readable TIFF or zarr movie ({error}): export it anew") from None
-    if data.ndim == 2:
-        data = data[None]
-    if data.ndim != 3 or 0 in data.shape:
-        raise MufasaError(f"{path} has shape {data.shape}: needs one non-empty stack (frame, y, x)")
-    if data.dtype.kind not in "uif":
-        raise MufasaError(f"{path} holds {data.dtype}: needs real numbers")
+    data = checks.stack(_lazy(array, path), str(path), single=True)
     return Movie(data, path, metadata)
 
 
 def load(path: PathLike) -> NDArray[Any]:
     """A whole movie in memory, (frame, y, x)."""
     movie = read_movie(path)
-    try:
-        return np.asarray(movie.data)
-    except Exception as error:
-        raise MufasaError(f"{path} is damaged ({error}): copy or export it anew") from None
+    checks.affordable(movie.data.nbytes, f"{path} as a whole", "crop it, or give fewer frames")
+    return np.asarray(movie.data)
 
 
 def write_movie(
     path: PathLike,
-    frames: Iterable[NDArray[Any]],
+    frames: Iterable[NDArray[Any]] | growing.Blocks,
     shape: tuple[int, int, int],
     dtype: Any,
     *,
     model: Describes | Mapping[str, Any] | None = None,
     seed: int | None = None,
     pixel_size_nm: float | None = None,
+    resume: Mapping[str, Any] | None = None,
 ) -> None:
     """Stream blocks of frames (frame, y, x) into OME-TIFF or zarr, by the suffix; memory is one block.
 
-    The whole model and the seed travel in the metadata and come back with `read_movie`.
+    The whole model, the seed, the program's version and the command travel in the metadata and come back with
+    `read_movie`.
+
+    Parameters
+    ----------
+    frames : the blocks in order; or, as it must be to resume, a function that gives (first frame, block) in order from
+        a frame on
+    resume : what the movie is made from, as plain data: blocks that are finished are kept when the work ends early, for
+        as long as what it is made from is the same. None: nothing is kept
     """
+    path = Path(path)
     described = model if isinstance(model, Mapping) or model is None else model.to_dict()
-    metadata: dict[str, Any] = {"model": described, "seed": None if seed is None else int(seed)}
+    metadata: dict[str, Any] = {"model": described, "seed": None if seed is None else int(seed), **made_by()}
     if pixel_size_nm is None:
         pixel_size_nm = _pixel_size_nm(described)
     if not (is_zarr(path) or str(path).lower().endswith((".tif", ".tiff"))):
         raise MufasaError(f"cannot write a movie to {path}: use .ome.tif, .tif or .zarr")
+    if resume is not None and callable(frames):
+        movie = growing.Growing(path, shape, dtype, resume)
+        movie.fill(frames)
+        if is_zarr(path):
+            movie.array.attrs[METADATA_KEY] = metadata
+            movie.become(path)
+        else:
+            with replacing(path) as temporary:
+                _write_tiff(temporary, movie.frames(), shape, dtype, metadata, pixel_size_nm)
+        movie.remove()
+        return
+    growing.forget(path)  # a run that starts anew
+    stream = (block for _, block in frames(0)) if callable(frames) else frames
     with replacing(path) as temporary:
-        blocks = _counted(frames, shape)
+        blocks = growing.counted(stream, shape)
         if is_zarr(path):
             _write_zarr(temporary, blocks, shape, dtype, metadata)
         else:
             _write_tiff(temporary, blocks, shape, dtype, metadata, pixel_size_nm)
 
 
-def _counted(blocks: Iterable[NDArray[Any]], shape: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
-    """The blocks as they come; raises when they are not the frames that were announced."""
-    n = 0
-    for block in blocks:
-        n += len(block)
-        if block.ndim != 3 or tuple(block.shape[1:]) != tuple(shape[1:]) or n > shape[0]:
-            raise MufasaError(f"a block of shape {block.shape} (frames up to {n}) does not fit a movie of {shape}")
-        yield block
-    if n != shape[0]:
-        raise MufasaError(f"{n} frames came for a movie of {shape[0]}: nothing was written")
-
-
 def _write_zarr(
     path: Path, blocks: Iterable[NDArray[Any]], shape: tuple[int, int, int], dtype: Any, metadata: dict[str, Any]
 ) -> None:
-    import zarr
-
-    per_chunk = max(1, min(shape[0], 2**22 // (shape[1] * shape[2] * np.dtype(dtype).itemsize) or 1))
-    array = zarr.create_array(store=str(path), shape=shape, chunks=(per_chunk, *shape[1:]), dtype=dtype)
-    array.attrs[METADATA_KEY] = metadata
+    array = growing.create(path, shape, dtype)
     start = 0
     for block in blocks:
         array[start : start + len(block)] = block
         start += len(block)
+    array.attrs[METADATA_KEY] = metadata
 
 
 def _write_tiff(
@@ -162,51 +168,94 @@ def _write_tiff(
         writer.write(pages, shape=shape, dtype=dtype, photometric="minisblack", metadata=described)
 
 
-def _open_zarr(path: Path) -> tuple[Any, dict[str, Any]]:
+def _lazy(array: Any, path: Path) -> Any:
+    """A dask array that is read block by block; what is damaged says so."""
     import dask.array as da
+
+    guarded = Guarded(array, path)
+    return da.from_array(guarded, chunks=guarded.whole_frames(), asarray=False, meta=np.empty(0, array.dtype))  # type: ignore[no-untyped-call]
+
+
+def _open_zarr(path: Path) -> tuple[Any, dict[str, Any]]:
     import zarr
 
+    check_zarr(path)
     array = zarr.open_array(str(path), mode="r")
     metadata: Any = dict(array.attrs).get(METADATA_KEY)
-    return da.from_zarr(array), metadata or {}  # type: ignore[no-untyped-call]
+    metadata = metadata if isinstance(metadata, dict) else {}
+    there, whole = array.nchunks_initialized, array.nchunks
+    if whole and (there == 0 or ("version" in metadata and there < whole)):
+        raise MufasaError(f"{path} is damaged ({whole - there} of {whole} chunks are missing): copy or export it anew")
+    return array, metadata
 
 
 def _open_tiff(path: Path) -> tuple[Any, dict[str, Any]]:
-    import dask.array as da
     import tifffile
     import zarr
 
-    with _complaints("tifffile") as complaints, tifffile.TiffFile(path) as file:
+    with complaints() as told, tifffile.TiffFile(path) as file:
         n_pages = len(file.pages)
-        if complaints:
-            raise MufasaError(f"{path} is truncated or damaged ({complaints[0]}): copy or export it anew")
+        if told:
+            raise MufasaError(f"{path} is truncated or damaged ({told[0]}): copy or export it anew")
+        if file.is_ome:
+            no_other_files(file.ome_metadata or "", path)
         if not file.series:
-            raise MufasaError(f"{path} holds no image")
+            raise MufasaError(f"{path} holds no image: export it anew")
         series = file.series[0]
+        if len(file.series) > 1:
+            others = f"{len(file.series)} series of images"
+            warnings.warn(f"{path} holds {others}: the first, {series.axes} {series.shape}, is read", stacklevel=3)
         metadata = _tiff_metadata(file)
-        shape, dtype = series.shape, series.dtype
-        if "S" in series.axes:
-            raise MufasaError(f"{path} is a colour image {shape}: needs one grey stack (frame, y, x)")
+        _check_axes(series, path)
+        if series.nbytes > MOST_PACKED * path.stat().st_size:
+            size, claimed = checks.size(path.stat().st_size), checks.size(series.nbytes)
+            raise MufasaError(f"{path} claims {claimed} of pixels in {size} of file: damaged; copy or export it anew")
         last = file.pages[n_pages - 1]
         if last.dataoffsets and last.dataoffsets[-1] + last.databytecounts[-1] > path.stat().st_size:
             raise MufasaError(f"{path} is truncated: copy it anew")
-    if len(shape) > 3:  # drop axes of length one (channel, z)
-        shape = tuple(n for n in shape if n > 1)
-    store = tifffile.imread(path, aszarr=True)
-    array = zarr.open(store, mode="r")
+    with complaints():
+        array = zarr.open(tifffile.imread(path, aszarr=True), mode="r")
     if isinstance(array, zarr.Group):
         array = array["0"]
-    data = da.from_zarr(array)  # type: ignore[no-untyped-call]
-    return (data if data.shape == shape else data.reshape(shape)).astype(dtype), metadata
+    return array, metadata
+
+
+def _check_axes(series: Any, path: Path) -> None:
+    """Raise for colours, channels, planes: a movie has frames, rows and columns alone."""
+    named = [(axis, n) for axis, n in zip(series.axes, series.shape, strict=True) if n > 1 or axis in "YX"]
+    if any(axis == "S" for axis, _ in named):
+        raise MufasaError(f"{path} is a colour image {series.shape}: needs one grey stack (frame, y, x)")
+    if len(named) > 3:
+        words = {
+            "C": "channels",
+            "Z": "planes (z)",
+            "T": "frames",
+            "Q": "positions",
+            "P": "positions",
+            "R": "positions",
+        }
+        counts = ", ".join(f"{n} {words.get(axis, f'along {axis}')}" for axis, n in named[:-2])
+        raise MufasaError(
+            f"{path} has axes {series.axes} {tuple(series.shape)}, {counts}: needs one stack (frame, y, x); "
+            "save one channel and plane as its own file"
+        )
+    if any(axis == "C" for axis, _ in named):
+        count = dict(named)["C"]
+        warnings.warn(f"{path} has {count} channels and no other frames: they are taken as frames", stacklevel=4)
 
 
 @contextlib.contextmanager
-def _complaints(logger_name: str) -> Iterator[list[str]]:
-    """Messages that a library logs instead of raising."""
+def complaints() -> Iterator[list[str]]:
+    """The errors that tifffile logs instead of raising; what else it logs is not for users."""
     found: list[str] = []
-    handler = logging.Handler(logging.ERROR)
-    handler.emit = lambda record: found.append(record.getMessage())  # type: ignore[method-assign]
-    logger = logging.getLogger(logger_name)
+
+    def note(record: logging.LogRecord) -> None:
+        if record.levelno >= logging.ERROR:
+            found.append(record.getMessage())
+
+    handler = logging.Handler()
+    handler.emit = note  # type: ignore[method-assign]
+    logger = logging.getLogger("tifffile")
     passes_on, logger.propagate = logger.propagate, False
     logger.addHandler(handler)
     try:

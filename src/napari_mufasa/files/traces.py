@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.whole import PathLike, replacing, write_table
+from napari_mufasa.files.movies import complaints, load
+from napari_mufasa.files.whole import PathLike, replacing, write_bytes, write_table
+from napari_mufasa.provenance import made_by
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -117,14 +120,19 @@ def write_trace_file(
 
 @contextlib.contextmanager
 def hdf5_file(path: PathLike, traces: NDArray[Any], unit: Unit, ids: NDArray[np.integer]) -> Iterator[Any]:
-    """A new HDF5 file with these traces, open for more; it appears when it is whole."""
-    h5py = _h5py()
-    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+    """A new HDF5 file with these traces, open for more; it appears when it is whole.
+
+    Made in memory: on a full disk the library would take the process with it.
+    """
+    content = io.BytesIO()
+    with _h5py().File(content, "w") as file:
         dataset = file.create_dataset("traces", data=traces, compression="gzip" if traces.size else None)
         dataset.attrs["unit"] = unit
         dataset.attrs["axes"] = "molecule, frame"
         file.create_dataset("molecule", data=ids)
+        file.attrs.update({name: text for name, text in made_by().items() if text})
         yield file
+    write_bytes(path, content.getvalue())
 
 
 def _read_csv(path: Path, channel: Channel) -> TraceFile:
@@ -138,7 +146,7 @@ def _read_csv(path: Path, channel: Channel) -> TraceFile:
             f"{', '.join(UNITS)}"
         )
     if table.empty:
-        raise MufasaError(f"{path} holds no trace")
+        raise MufasaError(f"{path} holds no trace: give one row per molecule and frame")
     # Windows before bleaching start at another frame for every molecule: only the order counts.
     table = table.sort_values(["molecule", "frame"])
     lengths = table.groupby("molecule")["frame"].size()
@@ -154,13 +162,13 @@ def _read_csv(path: Path, channel: Channel) -> TraceFile:
 def _read_tiff(path: Path, channel: Channel) -> TraceFile:
     import tifffile
 
-    with tifffile.TiffFile(path) as file:
-        image = file.asarray()
+    image = load(path)
+    with complaints(), tifffile.TiffFile(path) as file:
         said = (file.shaped_metadata or [{}])[0].get("unit")
+    if len(image) == 1:
+        image = image[0]
     if image.ndim != 2:
-        raise MufasaError(f"{path} has shape {image.shape}: traces are one image (frame, molecule); is it a movie?")
-    if image.dtype.kind not in "uif":
-        raise MufasaError(f"{path} holds {image.dtype}: needs real numbers")
+        raise MufasaError(f"{path} has shape {image.shape}: needs one image (frame, molecule); is it a movie?")
     guess: Unit = "adu" if image.dtype.kind in "ui" else "photoelectrons"
     return TraceFile(image.T.astype(np.float64), _unit(said, guess), np.arange(image.shape[1]), path)
 
@@ -196,7 +204,7 @@ def _read_fret(path: Path, channel: Channel) -> TraceFile:
     if n_frames <= 0 or n_traces <= 0 or n_traces % 2 or len(raw) != expected:
         raise MufasaError(
             f"{path} says {n_frames} frames × {n_traces} traces but holds {len(raw)} bytes instead of {expected}: "
-            "not a donor/acceptor .traces file, or damaged"
+            "not a donor/acceptor .traces file, or damaged; copy it anew"
         )
     values = np.frombuffer(raw, "<i2", offset=6).reshape(n_frames, n_traces).T.astype(np.float64)
     donor, acceptor = values[0::2], values[1::2]

@@ -3,43 +3,54 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import json
 import os
+import platform
 import shutil
-import tempfile
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     import pandas as pd
 
 PathLike = str | os.PathLike[str]
+MOST_JSON_BYTES = 2**30  # camera maps of 2048 × 2048 pixels, written as numbers, are 240 MB
 
 
 @contextlib.contextmanager
 def replacing(path: PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, renamed to it at the end; removed when anything fails."""
+    """A temporary path beside `path`, renamed to it at the end; removed when anything fails.
+
+    What a killed process left of the same file is removed, too. A file that is there already is replaced: whoever must
+    not do that looks first.
+    """
     target = Path(path)
     if not target.parent.is_dir():
         raise MufasaError(f"no folder {target.parent}: make it first or choose another output path")
-    if target.is_dir() and not _is_zarr_folder(target):
+    if target.is_dir() and not is_zarr_folder(target):
         raise MufasaError(f"{target} is a folder: choose a file name for the output")
-    temporary = target.with_name(f".{os.getpid()}-{target.name}")
+    temporary = _temporary(target)
     try:
         yield temporary
-        if target.is_dir():
-            shutil.rmtree(target)
-        os.replace(temporary, target)
-    finally:
-        if temporary.is_dir():
-            shutil.rmtree(temporary)
+        if temporary.is_file():
+            _to_the_disk(temporary)
+        if target.is_dir():  # cannot be replaced in one step: set aside first, so that one of the two is always whole
+            old = _temporary(target)
+            os.replace(target, old)
+            os.replace(temporary, target)
+            shutil.rmtree(old)
         else:
-            temporary.unlink(missing_ok=True)
+            os.replace(temporary, target)
+    finally:
+        remove(temporary)
 
 
 @contextlib.contextmanager
@@ -47,7 +58,8 @@ def filling(folder: PathLike) -> Iterator[Path]:
     """A temporary folder beside `folder`; its files move into it together at the end, or disappear."""
     target = Path(folder)
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    temporary = _temporary(target)
+    temporary.mkdir()
     try:
         yield temporary
         target.mkdir(exist_ok=True)
@@ -57,7 +69,45 @@ def filling(folder: PathLike) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _is_zarr_folder(path: Path) -> bool:
+def remove(path: Path) -> None:
+    """A file or a folder, gone; also where there is none."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _temporary(target: Path) -> Path:
+    """A hidden name beside `target` that says whose it is; those of processes that are gone are removed."""
+    host = "".join(letter for letter in platform.node() if letter.isalnum())[:32]
+    for left in target.parent.glob(f".{glob.escape(host)}-*-*-{glob.escape(target.name)}"):
+        owner = left.name.removeprefix(f".{host}-").partition("-")[0]
+        if owner.isdecimal() and _is_gone(int(owner)):
+            with contextlib.suppress(OSError):
+                remove(left)
+    return target.with_name(f".{host}-{os.getpid()}-{uuid.uuid4().hex[:8]}-{target.name}")
+
+
+def _is_gone(process: int) -> bool:
+    """Whether there is no such process on this machine; where that cannot be asked, there may be."""
+    if os.name != "posix":  # elsewhere signal 0 is one
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def _to_the_disk(file: Path) -> None:
+    """The name must not come before the content when the power fails."""
+    with file.open("rb+") as opened:
+        os.fsync(opened.fileno())
+
+
+def is_zarr_folder(path: Path) -> bool:
     return any((path / name).is_file() for name in ("zarr.json", ".zarray", ".zgroup"))
 
 
@@ -66,9 +116,22 @@ def write_text(path: PathLike, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def write_bytes(path: PathLike, content: bytes) -> None:
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def signature(path: PathLike) -> dict[str, Any]:
+    """What tells a file, or the description of a zarr folder, from others: name, size, time of change."""
+    path = Path(path)
+    each = path / "zarr.json" if (path / "zarr.json").is_file() else path
+    told = each.stat()
+    return {"name": path.name, "bytes": told.st_size, "changed_ns": told.st_mtime_ns}
+
+
 def write_json(path: PathLike, data: Any) -> None:
     """JSON without NaN: a number that is not known is null."""
-    write_text(path, json.dumps(_plain(data), indent=1, allow_nan=False) + "\n")
+    write_text(path, json.dumps(plain(data), indent=1, allow_nan=False) + "\n")
 
 
 def write_table(path: PathLike, table: pd.DataFrame) -> None:
@@ -76,19 +139,31 @@ def write_table(path: PathLike, table: pd.DataFrame) -> None:
         table.to_csv(temporary, index=False)
 
 
-def read_json(path: PathLike) -> Any:
+def read_json(path: PathLike, what: str = "JSON") -> Any:
+    """The content of a JSON file; raises `MufasaError` where there is none, naming what it should be."""
+    path = Path(path)
+    if not path.exists():
+        raise MufasaError(f"no file {path}: give the path of {what}")
+    if not path.is_file():
+        raise MufasaError(f"{path} is not readable: it is no file; give the path of {what}")
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
+        if path.stat().st_size > MOST_JSON_BYTES:
+            raise MufasaError(f"{path} is larger than {checks.size(MOST_JSON_BYTES)}: this is not {what}")
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except MufasaError:
+        raise
+    except RecursionError:
+        raise MufasaError(f"{path} is not readable JSON (nested too deep): write it anew") from None
     except (OSError, ValueError) as error:
-        raise MufasaError(f"{path} is not readable JSON ({error})") from None
+        raise MufasaError(f"{path} is not readable JSON ({error}): write it anew") from None
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Numpy to plain Python; not-a-number and infinity to null."""
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

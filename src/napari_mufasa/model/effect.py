@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from napari_mufasa.model.setup import Setup
+from napari_mufasa.model.setup import Setup, Values
 
 REFERENCE = {"frame_s": 0.02, "movie_s": 6.0, "frames": 300.0, "noise_adu": 4.0}
 """The acquisition that plausible ranges are written for: 300 frames of 20 ms, 4 ADU read noise."""
@@ -43,7 +43,7 @@ def parameter(
     )  # fmt: skip
 
 
-class Effect(BaseModel):
+class Effect(Values):
     """One physical mechanism. Subclasses declare parameters as fields and override `apply`.
 
     Class attributes
@@ -60,8 +60,6 @@ class Effect(BaseModel):
     order : effects are applied in the model's order, those of a lower number before. What adds molecules that others
         shall act on comes first (−1), what adds molecules of another kind last (1), what acts on all of them later (2)
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     kind: ClassVar[str] = ""
     stage: ClassVar[str] = ""

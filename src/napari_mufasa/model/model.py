@@ -9,13 +9,13 @@ import json
 import os
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, SerializeAsAny, ValidationError
 
+from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.whole import write_text
+from napari_mufasa.files.whole import read_json, write_text
 from napari_mufasa.model.effect import Effect
 from napari_mufasa.model.explain import explain
 from napari_mufasa.model.registry import effect_class, effect_from_data
@@ -58,12 +58,7 @@ class Model(Setup):
     @classmethod
     def from_json(cls, path: str | os.PathLike[str]) -> Model:
         """Read a model.json (docs/model.md); raises `MufasaError` in one clear line."""
-        try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise MufasaError(f"no file {path}: give the path of a model.json (see 'presets')") from None
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise MufasaError(f"{path} is not readable JSON ({error}): write it anew from 'presets NAME'") from None
+        data = read_json(path, "a model.json (see 'presets')")
         if not isinstance(data, dict):
             raise MufasaError(f"{path} holds a {type(data).__name__}, not a model: see 'presets FF' for the form")
         try:
@@ -78,6 +73,9 @@ class Model(Setup):
         if not metadata.get("model"):
             return None
         try:
+            camera = metadata["model"].get("camera") if isinstance(metadata["model"], dict) else None
+            if isinstance(camera, dict) and any(isinstance(camera.get(name), str) for name in MAPS):
+                raise MufasaError("its camera's maps are files elsewhere: give the model.json with --model")
             return cls.from_dict(metadata["model"])
         except MufasaError as error:
             warnings.warn(f"the model stored with the movie cannot be restored ({error})", stacklevel=2)
@@ -100,7 +98,7 @@ class Model(Setup):
             for parent in parents:
                 target = _member(target, parent)
             if not isinstance(target, dict) or name not in target:
-                raise MufasaError(f"a model has no {path}: names are those of model.json, as optics.psf_fwhm_nm")
+                raise MufasaError(f"a model has no {path}: use the names of model.json, as optics.psf_fwhm_nm")
             target[name] = value
         return Model.from_dict(data)
 
@@ -144,6 +142,8 @@ class Model(Setup):
 
     def with_effects(self, *effects: Effect) -> Model:
         """A copy with further effects; one of a kind already there is replaced."""
+        for effect in effects:
+            checks.need(effect, Effect, "an effect", "give effect_class(KIND)(…), or catalogue()[KIND](…)")
         new = {effect.kind for effect in effects}
         kept = tuple(effect for effect in self.effects if effect.kind not in new)
         return self.model_copy(update={"effects": kept + effects})

@@ -91,6 +91,6 @@ def preset(name: str) -> Model:
 
     Raises `MufasaError` for another name.
     """
-    if name not in PRESETS:
+    if not isinstance(name, str) or name not in PRESETS:
         raise MufasaError(f"no preset {name!r}: choose one of {', '.join(PRESETS)}")
     return Model.from_dict(PRESETS[name])

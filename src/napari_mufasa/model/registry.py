@@ -52,6 +52,6 @@ def effect_from_data(data: Any) -> Effect:
     if isinstance(data, Effect):
         return data
     if not isinstance(data, Mapping) or "kind" not in data:
-        raise ValueError(f'an effect is {{"kind": …, parameters}}, got {data!r}')
+        raise ValueError(f'give an effect as {{"kind": …, parameters}}, not {data!r}')
     values = {name: value for name, value in data.items() if name != "kind"}
     return effect_class(str(data["kind"])).model_validate(values)

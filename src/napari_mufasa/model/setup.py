@@ -7,21 +7,44 @@ above them.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from napari_mufasa.files.movies import load
 
 Protocol = Literal["PALM", "STORM", "FF", "Blinking"]
+NUMBERS = (int, float, int | None, float | None)
 MAPS = ("offset_map_adu", "gain_map", "variance_map_e2")  # a camera's maps of its pixels
 
 
-class Part(BaseModel):
-    """A frozen group of parameters; unknown keys are an error."""
+class Values(BaseModel):
+    """Frozen values; unknown keys are an error, and so is text where a number belongs."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _numbers_are_no_text(cls, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, (str, bool)) and cls.model_fields[info.field_name or ""].annotation in NUMBERS:
+            raise PydanticCustomError("no_number", "input should be a number, without quotes")
+        return value
+
+
+class Part(Values):
+    """A frozen group of parameters."""
 
 
 def _pixel_map(value: Any) -> NDArray[np.float64] | None:
@@ -29,12 +52,12 @@ def _pixel_map(value: Any) -> NDArray[np.float64] | None:
     if value is None:
         return None
     if isinstance(value, (str, os.PathLike)):
-        import tifffile
-
-        if not Path(value).is_file():
-            raise ValueError(f"no file {value}; give the path of a 2-D TIFF")
-        value = tifffile.imread(value)
-    array = np.asarray(value, dtype=np.float64)
+        value = load(value)
+        value = value[0] if len(value) == 1 else value
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError("needs a finite 2-D (y, x) map of numbers, or the path of a 2-D TIFF") from None
     if array.ndim != 2 or not np.isfinite(array).all():
         raise ValueError(f"needs a finite 2-D (y, x) map, got shape {array.shape}")
     return array
@@ -138,6 +161,22 @@ class Camera(Part):
     offset_map_adu: PixelMap = Field(None, description="per-pixel offset added to the baseline, ADU")
     gain_map: PixelMap = Field(None, description="per-pixel factor on the gain")
     variance_map_e2: PixelMap = Field(None, description="per-pixel read noise variance, electrons²")
+    excess_noise_factor: float | None = Field(
+        None, ge=1, le=10, description="F² of the register, EMCCD only; null: 2, as at high gain"
+    )
+    readout_kernel: tuple[Annotated[float, Field(ge=-1, le=1)], ...] = Field(
+        (), max_length=16, description="signal of the pixels read before, as shares of a pixel's own: x − 1, x − 2 …"
+    )
+    read_noise_kernel: tuple[Annotated[float, Field(ge=-1, le=1)], ...] = Field(
+        (), max_length=16, description="the same of the read noise, which keeps its rms"
+    )
+    baseline_alternation_adu: float = Field(
+        0.0, ge=-1e4, le=1e4, description="baseline of frames 0, 2, 4 … above the mean, of the others below, ADU"
+    )
+    baseline_jitter_adu: float = Field(0.0, ge=0, le=1e4, description="rms of each frame's own baseline, ADU")
+    code_widths: tuple[Annotated[float, Field(ge=0)], ...] = Field(
+        (), max_length=4096, description="widths of the converter's codes over a period, any unit; (): all equal"
+    )
 
     @model_validator(mode="after")
     def _fits_its_type(self) -> Self:
@@ -145,6 +184,12 @@ class Camera(Part):
             raise ValueError("em_gain is missing: an EMCCD needs its electron-multiplying gain (1 … 100000)")
         if self.type != "EMCCD" and self.em_gain not in (None, 1):
             raise ValueError(f"em_gain = {self.em_gain} on a {self.type}: only an EMCCD has one; give null")
+        if self.type != "EMCCD" and self.excess_noise_factor is not None:
+            raise ValueError(f"excess_noise_factor on a {self.type}: only an EMCCD has a register; give null")
+        if self.readout_kernel and not np.all(np.abs(np.roots([1.0, *self.readout_kernel])) < 0.999):
+            raise ValueError("readout_kernel gives more to later pixels than a pixel keeps: it cannot be undone")
+        if self.code_widths and (len(self.code_widths) < 2 or sum(self.code_widths) <= 0):
+            raise ValueError("code_widths needs two or more widths, not all 0; or give none")
         knots = np.asarray(self.cmos_gain_curve, dtype=float)
         if len(knots) < 2 or np.any(np.diff(knots[:, 0]) <= 0) or np.any(np.diff(knots[:, 1]) <= 0):
             raise ValueError("cmos_gain_curve must rise strictly in both columns: a falling curve has no inverse")
@@ -152,6 +197,10 @@ class Camera(Part):
             raise ValueError("gain_map must be positive everywhere")
         if self.variance_map_e2 is not None and np.any(self.variance_map_e2 < 0):
             raise ValueError("variance_map_e2 must not be negative")
+        if self.baseline_adu >= self.adc_max:
+            raise ValueError(
+                f"baseline_adu = {self.baseline_adu:g} is not below adc_max = {self.adc_max}: give the camera's values"
+            )
         return self
 
 

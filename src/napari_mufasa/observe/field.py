@@ -51,22 +51,22 @@ def background(
     _courses(table, course, spots, part)
     _map(table, mean, mask)
     _transfer(table, mean, variance, mask, (label == 0) & np.isin(tiles, part.labels))
+    spread = _over(pixels.variance, mask) or np.nan  # a small field may have no background pixel
     table.add(
         "pixel_lag_1",
-        _over(pixels.lag1, mask) / _over(pixels.variance, mask),
+        _over(pixels.lag1, mask) / spread,
         "correlation with the last frame",
         "",
         "background pixels",
     )
     table.add(
         "pixel_lag_2",
-        _over(pixels.lag2, mask) / _over(pixels.variance, mask),
+        _over(pixels.lag2, mask) / spread,
         "correlation two frames apart",
         "",
         "background pixels",
     )
     inner = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1]
-    spread = _over(pixels.variance, mask)
     table.add(
         "neighbour_right", _over(pixels.right, inner) / spread, "noise correlation along a row", "", "background pixels"
     )

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from napari_mufasa.calibrate.found import Calibration
     from napari_mufasa.compare import Comparison
     from napari_mufasa.discover.result import Candidate, Curve, Report
     from napari_mufasa.model.model import Model
@@ -120,6 +121,14 @@ def comparison_drawings(comparison: Comparison) -> list[Drawing]:
             lambda f: plotting.contact_sheet(f, comparison.samples["measured"].traces), "png",
         ),
     ]  # fmt: skip
+
+
+def calibration_drawing(found: Calibration) -> Drawing:
+    """What a camera was measured from, and how well its law fits."""
+    return Drawing(
+        "calibration", "The camera measured, and the laws against the histograms.", (7.2, 5.6),
+        lambda f: plotting.calibration(f, found),
+    )  # fmt: skip
 
 
 def movie_drawing(name: str, movie: NDArray[Any], unit: str) -> Drawing:

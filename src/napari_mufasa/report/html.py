@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from napari_mufasa.provenance import made_by, version
 from napari_mufasa.report.figures import Drawing, diagnosis_drawings
 from napari_mufasa.report.words import (
     chosen_candidates,
@@ -73,10 +74,11 @@ def render(
         observables=_rows(observables, "z_before", MOST_ROWS), n_observables=len(observables),
         still_off=_rows(off, "z_after", MOST_OFF), n_off=len(off),
         ranking=[_ranked(candidate) for candidate in report.ranking],
-        detectable=[(name, strength) for _, name, strength, _ in detectable_rows(report)],
+        detectable=[tuple(cells) for _, cells, _ in detectable_rows(report)],
         closing=list(figures.values()),
         notes=[
             *report.notes, f"Error: {report.error.get('unit', '')}.", f"{report.seconds:.0f} s, seed {report.seed}.",
+            f"Made by napari-mufasa {version()}: {made_by()['command'] or 'from Python'}.",
         ],
         model_json=json.dumps(report.model.to_dict(), indent=1),
         draw=_picture,

@@ -10,8 +10,24 @@ from numpy.typing import NDArray
 from napari_mufasa.report.fields import number_text
 
 if TYPE_CHECKING:
+    from napari_mufasa.calibrate import Calibration
     from napari_mufasa.compare import Comparison
     from napari_mufasa.compare.wasserstein import Floor
+
+
+def movie_facts(name: str, shape: tuple[int, ...], dtype: Any, size_um: float | None, carried: str) -> str:
+    """What is known about a movie (frame, y, x), as HTML; `carried`: about the model in its metadata."""
+    frames, height, width = shape
+    size = f"pixel size {size_um * 1000:.4g} nm" if size_um else "pixel size not stated: the model's is used"
+    return f"<b>{name}</b>: {frames} frames of {height} × {width} px, {dtype}<br>{size}<br>{carried}"
+
+
+def calibration_line(found: Calibration) -> str:
+    """What was measured of a camera."""
+    return (
+        f"Measured: {found.adu_per_photoelectron} ADU per photoelectron, baseline {found.baseline_adu} ADU, "
+        f"read noise {found.read_noise_adu} ADU."
+    )
 
 
 def comparison_table(comparison: Comparison) -> str:

@@ -136,7 +136,8 @@ def verdict_text(report: Report) -> tuple[str, str]:
     if report.verdict == "missing_effect":
         return f"Missing from the model: {chosen}.", fall
     if report.chosen:
-        return f"Part of what is missing is {chosen}; the rest no known effect explains.", fall
+        part = f"{100 * report.explained:.0f} % of the misfit is explained. " if report.explained else ""
+        return f"Part of what is missing is {chosen}; the rest no known effect explains.", part + fall
     line = "Something is missing that no known effect explains."
     if report.ranking:
         line += f" It resembles {in_text(report.ranking[0].effect)} most."
@@ -250,8 +251,27 @@ def matching_curve(observable: str, curves: Sequence[Curve]) -> Curve | None:
     return max(fitting, key=lambda curve: len(curve.name), default=None)
 
 
-def detectable_rows(report: Report) -> list[tuple[str, str, str, str]]:
-    """(kind, title, smallest strength that would have shown, what it does) of each effect, those that show first."""
+def ranking_rows(report: Report) -> list[tuple[str, list[str], str]]:
+    """(kind, cells of a table, `words_of`) of each effect that could be missing, the best first."""
+    rows = []
+    for c in report.ranking:
+        after = "–" if c.error_after is None else f"{c.error_after:.2f}"
+        rows.append((c.effect, [effect_title(c.effect), f"{c.evidence:.0f}", after, f"{c.p_value:.1g}"], words_of(c)))
+    return rows
+
+
+def failing_rows(report: Report) -> list[tuple[str, list[str], str]]:
+    """(observable, cells of a table, words with its place) of each observable that the model misses."""
+    rows = []
+    for item in report.failing:
+        title, now = str(item.get("title", item["observable"])), item.get("z_after")
+        cells = [title, f"{item['z']:+.1f}", "" if now is None else f"{now:+.1f}"]
+        rows.append((str(item["observable"]), cells, f"{title}\n{item.get('where') or ''}".strip()))
+    return rows
+
+
+def detectable_rows(report: Report) -> list[tuple[str, list[str], str]]:
+    """(kind, [title, smallest strength that would have shown], what it does) of each effect, those that show first."""
     from napari_mufasa.effects import catalogue
 
     rows = []
@@ -261,7 +281,7 @@ def detectable_rows(report: Report) -> list[tuple[str, str, str, str]]:
         if strength is not None:
             label, unit = parameter_label(kind, effect.strength) if effect is not None else ("strength", "")
             words = f"{label} ≥ {strength:.2g} {unit}".strip()
-        rows.append((kind, effect_title(kind), words, effect.what_it_does if effect is not None else ""))
+        rows.append((kind, [effect_title(kind), words], effect.what_it_does if effect is not None else ""))
     return rows
 
 

@@ -88,7 +88,7 @@ def read_positions(path: str | os.PathLike[str], pixel_size_nm: float) -> NDArra
     except FileNotFoundError:
         raise MufasaError(f"no file {path}: give a CSV of positions") from None
     except (ValueError, IndexError, OSError) as error:
-        raise MufasaError(f"{path} is not a CSV of positions ({error})") from None
+        raise MufasaError(f"{path} is not a CSV of positions ({error}): give y_px, x_px or y_nm, x_nm") from None
     for unit, scale, origin in (("px", 1.0, 0.0), ("nm", pixel_size_nm, 0.5)):
         if {f"y_{unit}", f"x_{unit}"} <= set(table.columns):
             numbers = table[[f"y_{unit}", f"x_{unit}"]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
-from napari_mufasa.errors import Cancelled, MufasaError, need
+from napari_mufasa.errors import Cancelled
 from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics.engines import Engine, Exposure, simulate_photons
 from napari_mufasa.simulate import layout
@@ -60,7 +61,8 @@ class SimulatedAcquisition:
         seed: int = 0,
         engine: Engine = "fast",
     ) -> None:
-        need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+        _check(model)
+        checks.choice(engine, "engine", get_args(Engine))
         streams = Streams(seed)
         if positions_px is None:
             positions_px = layout.place(model, streams.of("positions"))
@@ -89,12 +91,14 @@ class SimulatedAcquisition:
         self,
         *,
         workers: int = 1,
+        first: int = 0,
         progress: Progress | None = None,
         cancel: Callable[[], bool] | None = None,
     ) -> Iterator[tuple[slice, Recording]]:
-        """Record the movie block by block, in order; `workers` threads run ahead."""
+        """Record the movie from frame `first` on, block by block, in order; `workers` threads run ahead."""
+        checks.whole(workers, "workers", 1, 1024)
         size = self.block_frames()
-        slices = [slice(f, min(f + size, self.n_frames)) for f in range(0, self.n_frames, size)]
+        slices = [slice(f, min(f + size, self.n_frames)) for f in range(first, self.n_frames, size)]
         with ThreadPoolExecutor(workers) as pool:
             pending: list[tuple[slice, Future[Recording]]] = []
             upcoming = iter(slices)
@@ -135,6 +139,12 @@ def simulate(
     Peak memory: the result (optical 4 bytes and movie 2 bytes per pixel and frame) and one block per worker.
     For movies larger than memory use `SimulatedAcquisition.blocks`.
     """
+    _check(model)
+    n_frames, (height, width) = model.acquisition.n_frames, model.acquisition.shape_px
+    checks.affordable(
+        6 * n_frames * height * width, f"a movie of {n_frames} × {height} × {width} px",
+        "take fewer frames, or stream it: napari-mufasa simulate, or SimulatedAcquisition.blocks",
+    )  # fmt: skip
     acquisition = SimulatedAcquisition(model, positions_px, seed, engine)
     shape = (acquisition.n_frames, *acquisition.scene.shape_px)
     optical = np.empty(shape, dtype=np.float32)
@@ -152,9 +162,9 @@ def simulate_emission(
     Molecules are spread over the field, so that effects across the field act on them too. Effects that add molecules
     add rows (see `Simulation`).
     """
-    if isinstance(n_molecules, bool) or not isinstance(n_molecules, (int, np.integer)) or n_molecules < 0:
-        raise MufasaError(f"n_molecules = {n_molecules!r}: give a whole number ≥ 0")
-    need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    checks.whole(n_molecules, "n_molecules")
+    _check(model, n_molecules)
+    checks.choice(engine, "engine", get_args(Engine))
     streams = Streams(seed)
     positions = layout.scatter(int(n_molecules), model.acquisition.shape_px, 0.0, streams.of("positions"))
     return _emit(build_scene(model, positions, streams), engine)[0]
@@ -166,9 +176,10 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
     The sensor's patterns are those of the movie with the same seed, its noise is not. Raises `MufasaError` for a number
     of frames or a seed that cannot be used.
     """
-    if isinstance(n_frames, bool) or not isinstance(n_frames, (int, np.integer)) or n_frames < 1:
-        raise MufasaError(f"n_frames = {n_frames!r}: give a whole number ≥ 1")
-    need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    checks.whole(n_frames, "n_frames", 1)
+    _check(model, 0)
+    height, width = model.acquisition.shape_px
+    checks.affordable(10 * int(n_frames) * height * width, f"{n_frames} dark frames", "take fewer, or a smaller field")
     # Slow courses keep the movie's pace: the dark frames are as if taken at its beginning.
     frames = max(int(n_frames), model.acquisition.n_frames)
     optics = model.optics.model_copy(update={"background_photons_per_px": 0.0})
@@ -177,6 +188,18 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
     scene = build_scene(dark_model, np.empty((0, 2)), Streams(seed))
     scene.streams = Streams(seed + 2**32)
     return scene.record(np.empty((0, frames), dtype=np.int64), 0, int(n_frames)).movie
+
+
+def _check(model: Model, n_molecules: int | None = None) -> None:
+    """A model, and one whose courses of molecules (molecule, frame) this machine can hold."""
+    checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    n = model.sample.n_molecules if n_molecules is None else n_molecules
+    frames, (height, width) = model.acquisition.n_frames, model.acquisition.shape_px
+    checks.affordable(
+        16 * int(n) * frames + 100 * frames, f"the light of {n} molecules in {frames} frames",
+        "take fewer molecules or frames",
+    )  # fmt: skip
+    checks.affordable(40 * height * width, f"a frame of {height} × {width} px", "take a smaller field")
 
 
 def _emit(scene: Scene, engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

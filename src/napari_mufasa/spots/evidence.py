@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,7 @@ def _weights(sigma_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return halves[0], halves[1]
 
 
-@cache
+@lru_cache(maxsize=8)  # each as large as a frame, and each width of a PSF has its own
 def border_noise(shape_px: tuple[int, int], sigma_px: float) -> Image:
     """(y, x) noise sd of the filter relative to the middle of the field: larger where it reflects at the border.
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from napari_mufasa import checks
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.spots.evidence import Evidence, Image, lower_spread, peak_offsets, search
@@ -95,11 +96,11 @@ def summits(image: Image, peaks: NDArray[np.int64]) -> NDArray[np.float64]:
 def check_threshold(method: str, value: float | None) -> None:
     """Raise `MufasaError` for a threshold that is none."""
     if method not in THRESHOLDS:
-        raise MufasaError(f"threshold method {method!r} is unknown: choose {', '.join(THRESHOLDS)}")
-    if method == "sigma" and value is not None and not value > 0:
-        raise MufasaError(f"threshold = {value}: the number of noise sd must be above 0")
-    if method == "percentile" and value is not None and not 0 <= value <= 100:
-        raise MufasaError(f"threshold = {value}: a percentile lies in 0 … 100")
+        raise MufasaError(f"threshold {method!r} is unknown: choose one of {', '.join(THRESHOLDS)}")
+    if method == "sigma" and value is not None and checks.number(value, "threshold_value") <= 0:
+        raise MufasaError(f"threshold_value = {value}: give a number of noise sd above 0")
+    if method == "percentile" and value is not None:
+        checks.number(value, "threshold_value (a percentile)", 0, 100)
 
 
 def threshold_level(image: Image, method: Threshold, value: float | None) -> float:

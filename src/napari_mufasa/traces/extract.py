@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa import checks
 from napari_mufasa.camera.frames import Frames, Progress, Unit
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.optics.gaussian import mean_peak_share
@@ -149,8 +150,10 @@ def extract_traces(
     ------
     MufasaError : a movie, dark frames or option that cannot be used.
     """
-    options = _options(options, changes)
+    options = chosen_options(options, changes)
     frames = Frames(movie, camera, dark, unit)
+    if options.roi is not None:
+        roi_mask(options.roi, frames.shape[1:])
     if options.window is not None and not 1 <= options.window <= frames.n_frames:
         raise MufasaError(f"window = {options.window} frames; the movie has {frames.n_frames}: give 1 … that")
     frames.check_light()
@@ -305,9 +308,14 @@ def roi_mask(roi: Any, shape_px: tuple[int, int]) -> NDArray[np.bool_]:
 
     if isinstance(roi, np.ndarray) and roi.ndim == 2 and roi.shape == tuple(shape_px):
         return roi.astype(bool)
-    polygons = [np.asarray(p, dtype=float) for p in roi]
+    try:
+        polygons = [np.asarray(p, dtype=float) for p in roi]
+    except (TypeError, ValueError):
+        polygons = []
     if not polygons or any(p.ndim != 2 or p.shape[0] < 3 or p.shape[1] < 2 for p in polygons):
-        raise MufasaError(f"roi must be a mask of shape {tuple(shape_px)} or a list of polygons (vertex, 2)")
+        raise MufasaError(
+            f"roi {checks.told(roi)}: give a mask of shape {tuple(shape_px)} or a list of polygons (vertex, 2)"
+        )
     masks = [polygon2mask(shape_px, p[:, -2:]) for p in polygons]  # type: ignore[no-untyped-call]
     return np.asarray(np.logical_or.reduce(masks), dtype=bool)
 
@@ -319,26 +327,31 @@ def _share(kind: aperture.Profile, sigma: float) -> float:
     return mean_peak_share(sigma) if kind == "brightest_pixel" else float(1 - np.exp(-(2.5**2) / 2))
 
 
-def _options(options: Options | None, changes: dict[str, Any]) -> Options:
+def chosen_options(options: Options | None, changes: dict[str, Any]) -> Options:
+    """Options with changes, each within what it may be; raises `MufasaError`."""
     known = {f.name for f in fields(Options)}
     for name in changes:
         if name not in known:
-            raise MufasaError(f"extract_traces has no option {name!r}: options are {', '.join(sorted(known))}")
+            raise MufasaError(f"there is no option {name!r} for traces: choose of {', '.join(sorted(known))}")
+    checks.need(options or Options(), Options, "options", "give napari_mufasa.traces.Options(…)")
     chosen = replace(options or Options(), **changes)
-    if chosen.profile not in ("psf", "sum", "brightest_pixel"):
-        raise MufasaError(f"profile {chosen.profile!r} is unknown: choose 'psf', 'sum' or 'brightest_pixel'")
-    if chosen.position not in ("fit", "brightest_pixel"):
-        raise MufasaError(f"position {chosen.position!r} is unknown: choose 'fit' or 'brightest_pixel'")
+    checks.choice(chosen.profile, "profile", get_args(aperture.Profile))
+    checks.choice(chosen.position, "position", ("fit", "brightest_pixel"))
     find.check_threshold(chosen.threshold, chosen.threshold_value)
-    if chosen.psf_sigma_px is not None and not 0.3 <= chosen.psf_sigma_px <= 50:
-        raise MufasaError(f"psf_sigma_px = {chosen.psf_sigma_px}: the PSF sd in pixels must lie in 0.3 … 50")
-    for name in ("window", "best"):
-        number = getattr(chosen, name)
-        if number is not None and (isinstance(number, bool) or not isinstance(number, (int, np.integer))):
-            raise MufasaError(f"{name} = {number!r}: give a whole number, or None for all")
-    if chosen.best is not None and chosen.best < 1:
-        raise MufasaError(f"best = {chosen.best}: keep at least 1 molecule, or give None for all")
+    checks.number(chosen.step_false_alarm, "step_false_alarm", 1e-12, 1)
+    checks.number(chosen.min_snr, "min_snr", 0)
+    for name, least, most in _RANGES:
+        if (value := getattr(chosen, name)) is not None:
+            checks.number(value, name, least, most)
+    for name, fewest in _COUNTS:
+        if (value := getattr(chosen, name)) is not None:
+            checks.whole(value, name, fewest)
     return chosen
+
+
+# Options that may be None, and what they may be else.
+_RANGES = (("psf_sigma_px", 0.3, 50), ("border_px", 0, np.inf), ("isolation_px", 0, np.inf), ("max_lit_share", 0, 1))
+_COUNTS = (("window", 1), ("best", 1), ("time_block", 1), ("min_lit_frames", 0), ("min_steps", 0), ("max_steps", 0))
 
 
 def _counter(progress: Progress | None, total: int) -> Callable[[int], None]:

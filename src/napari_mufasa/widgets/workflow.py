@@ -1,28 +1,17 @@
-"""The guided workflow: one dock with the steps Data → Camera → Denoise → Molecules → Model → Compare → Discover."""
+"""The docks: the guided workflow Data → Camera → Denoise → Molecules → Model → Compare → Discover, and single steps."""
 
 from __future__ import annotations
 
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from napari.viewer import Viewer
 from qtpy.QtCore import QSize, Qt
-from qtpy.QtWidgets import (
-    QButtonGroup,
-    QHBoxLayout,
-    QScrollArea,
-    QSizePolicy,
-    QStackedWidget,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QButtonGroup, QScrollArea, QSizePolicy, QStackedWidget, QToolButton, QWidget
 
-from napari_mufasa.widgets.parts.panel import button, shortcut
+from napari_mufasa.widgets.parts.pieces import button, column, row, shortcut
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
-
-if TYPE_CHECKING:
-    from napari.viewer import Viewer
 
 # napari's own style hides which tool button is checked.
 STEP_STYLE = """
@@ -31,65 +20,99 @@ QToolButton:checked { border-bottom: 3px solid #4a90d9; background: rgba(74, 144
 QToolButton:hover { background: rgba(128, 128, 128, 60); }
 """
 STEPS = ("Data", "Camera", "Denoise", "Molecules", "Model", "Compare", "Discover")
+HOMES = {
+    "Data": "data:DataPanel", "Camera": "calibrate:CameraPanel", "Denoise": "denoise:DenoisePanel",
+    "Molecules": "traces:MoleculesPanel", "Model": "model:ModelPanel", "Compare": "compare:ComparePanel",
+    "Discover": "discover:DiscoverPanel", "Simulate": "simulate:SimulatePanel", "Design": "design:DesignPanel",
+}  # fmt: skip
 
 
-class WorkflowWidget(QWidget):
-    """All steps in one dock. Each works alone and keeps its state; movie, model and results flow forward."""
+def panel_of(name: str, viewer: Viewer) -> Any:
+    """The panel of a step; imported when it is shown."""
+    module, _, kind = HOMES[name].partition(":")
+    return getattr(import_module(f"napari_mufasa.widgets.steps.{module}"), kind)(viewer)
+
+
+class Scrolled(QScrollArea):
+    """A panel that scrolls up and down only: it is as wide as what is in it needs to be, with room for the scroll bar,
+    whatever the theme's font makes of that later."""
+
+    def __init__(self, panel: QWidget | None = None) -> None:
+        super().__init__()
+        self.setWidgetResizable(True)
+        self.setFrameShape(QScrollArea.Shape.NoFrame)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setWidget(panel)
+
+    def minimumSizeHint(self) -> QSize:
+        panel, hint = self.widget(), super().minimumSizeHint()
+        return QSize(min(560, panel.minimumSizeHint().width() + 18), hint.height()) if panel is not None else hint
+
+
+class Dock(QWidget):
+    """What napari puts into a dock; `size`: the least width, and the size it would like to have."""
+
+    size_px = (360, 420, 700)
 
     def __init__(self, napari_viewer: Viewer) -> None:
         super().__init__()
-        self._viewer = unwrapped(napari_viewer)
-        self.session = session_of(self._viewer)
+        # napari puts an empty stretch below widgets that do not ask for the height; it would take half of the dock.
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+        self.fill(unwrapped(napari_viewer))
+
+    def fill(self, viewer: Viewer) -> None:
+        raise NotImplementedError(f"{type(self).__name__} has no fill()")
+
+    def sizeHint(self) -> QSize:
+        return QSize(*self.size_px[1:])
+
+    def minimumSizeHint(self) -> QSize:
+        hint = super().minimumSizeHint()
+        return QSize(max(self.size_px[0], hint.width()), hint.height())
+
+
+class WorkflowWidget(Dock):
+    """All steps in one dock. Each works alone and keeps its state; movie, model and results flow forward."""
+
+    size_px = (440, 460, 760)
+
+    def fill(self, viewer: Viewer) -> None:
+        self.viewer, self.session = viewer, session_of(viewer)
         self.steps: dict[str, QWidget] = {}
-        self.buttons = QButtonGroup(self)
-        self.buttons.setExclusive(True)
-        row = QHBoxLayout()
-        row.setSpacing(1)
-        self.stack = QStackedWidget()
-        for number, name in enumerate(STEPS):
-            made = QToolButton()
-            made.setText(f"{number + 1}\n{name}")
-            made.setCheckable(True)
-            made.setToolTip(f"Step {number + 1}: {name} (Alt+{number + 1})")
-            made.setAccessibleName(f"Step {number + 1}: {name}")
-            made.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-            shortcut(self, f"Alt+{number + 1}", partial(self.show_step, number))
-            made.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-            made.setMinimumWidth(made.fontMetrics().horizontalAdvance(name) + 6)
-            made.setStyleSheet(STEP_STYLE)
+        self.buttons, self.stack = QButtonGroup(self), QStackedWidget()
+        chosen = [self._step_button(number, name) for number, name in enumerate(STEPS)]
+        for number, made in enumerate(chosen):
             self.buttons.addButton(made, number)
-            row.addWidget(made, 1)
-            self.stack.addWidget(QWidget())
+            self.stack.addWidget(Scrolled())
         self.buttons.idClicked.connect(self.show_step)
+        steps = row(*chosen, shares=[1] * len(STEPS), spacing=1)
         self.back_button = button("‹ Back", partial(self.go, -1), "Step before (Alt+Left)")
         self.next_button = button("Next ›", partial(self.go, 1), "Next step (Alt+Right)")
         shortcut(self, "Alt+Left", partial(self.go, -1))
         shortcut(self, "Alt+Right", partial(self.go, 1))
-        bottom = QHBoxLayout()
-        bottom.addWidget(self.back_button)
-        bottom.addStretch(1)
-        bottom.addWidget(self.next_button)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(2, 2, 2, 2)
-        layout.addLayout(row)
-        layout.addWidget(self.stack, 1)
-        layout.addLayout(bottom)
-        self.setMinimumWidth(440)
-        fill_the_dock(self)
+        bottom = row(self.back_button, QWidget(), self.next_button, shares=(0, 1))
+        column(self, steps, self.stack, bottom, shares=(0, 1), margins=(2, 2, 2, 2))
         self.show_step(0)
 
-    def sizeHint(self) -> QSize:
-        return QSize(460, 760)
+    def _step_button(self, number: int, name: str) -> QToolButton:
+        made = QToolButton()
+        made.setText(f"{number + 1}\n{name}")
+        made.setCheckable(True)
+        made.setToolTip(f"Step {number + 1}: {name} (Alt+{number + 1})")
+        made.setAccessibleName(f"Step {number + 1}: {name}")
+        made.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        made.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+        made.setMinimumWidth(made.fontMetrics().horizontalAdvance(name) + 6)
+        made.setStyleSheet(STEP_STYLE)
+        shortcut(self, f"Alt+{number + 1}", partial(self.show_step, number))
+        return made
 
     def step(self, name: str) -> Any:
         """The panel of a step, made when it is first needed."""
         if name not in self.steps:
-            self.steps[name] = panel = panel_class(name)(self._viewer)
-            index = STEPS.index(name)
-            placeholder: Any = self.stack.widget(index)
-            self.stack.removeWidget(placeholder)
-            placeholder.deleteLater()
-            self.stack.insertWidget(index, Scrolled(panel))
+            self.steps[name] = panel = panel_of(name, self.viewer)
+            scrolled: Any = self.stack.widget(STEPS.index(name))
+            scrolled.setWidget(panel)
         return self.steps[name]
 
     def go(self, by: int) -> None:
@@ -105,61 +128,19 @@ class WorkflowWidget(QWidget):
         self.next_button.setEnabled(index < len(STEPS) - 1)
 
 
-HOMES = {
-    "Data": "data:DataPanel", "Camera": "calibrate:CameraPanel", "Denoise": "denoise:DenoisePanel",
-    "Molecules": "traces:MoleculesPanel", "Model": "model:ModelPanel", "Compare": "compare:ComparePanel",
-    "Discover": "discover:DiscoverPanel", "Simulate": "simulate:SimulatePanel", "Design": "design:DesignPanel",
-}  # fmt: skip
-
-
-def panel_class(name: str) -> Any:
-    """The panel of a step; imported when it is shown."""
-    module, _, kind = HOMES[name].partition(":")
-    return getattr(import_module(f"napari_mufasa.widgets.steps.{module}"), kind)
-
-
-class Scrolled(QScrollArea):
-    """A panel that scrolls up and down only: it is as wide as what is in it needs to be, with room for the scroll bar,
-    whatever the theme's font makes of that later."""
-
-    def __init__(self, panel: QWidget) -> None:
-        super().__init__()
-        self.setWidgetResizable(True)
-        self.setFrameShape(QScrollArea.Shape.NoFrame)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.setWidget(panel)
-
-    def minimumSizeHint(self) -> QSize:
-        panel: Any = self.widget()
-        return QSize(min(560, panel.minimumSizeHint().width() + 18), super().minimumSizeHint().height())
-
-
-def fill_the_dock(widget: QWidget) -> None:
-    """napari puts an empty stretch below widgets that do not ask for the height; it would take half of the dock."""
-    widget.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-
-
-class _Single(QWidget):
+class Single(Dock):
     """One step as a dock of its own."""
 
     step_name = ""
 
-    def __init__(self, napari_viewer: Viewer) -> None:
-        super().__init__()
-        self.panel = panel_class(self.step_name)(unwrapped(napari_viewer))
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(Scrolled(self.panel))
-        self.setMinimumWidth(360)
-        fill_the_dock(self)
-
-    def sizeHint(self) -> QSize:
-        return QSize(420, 700)
+    def fill(self, viewer: Viewer) -> None:
+        self.panel = panel_of(self.step_name, viewer)
+        column(self, Scrolled(self.panel))
 
 
-def single(step: str) -> type[_Single]:
+def single(step: str) -> type[Single]:
     """The dock of a step, for the manifest."""
-    return type(f"{step}Widget", (_Single,), {"step_name": step})
+    return type(f"{step}Widget", (Single,), {"step_name": step})
 
 
 SimulateWidget, DenoiseWidget, ExtractTracesWidget = single("Simulate"), single("Denoise"), single("Molecules")

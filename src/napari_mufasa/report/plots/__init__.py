@@ -10,6 +10,7 @@ Nothing here computes physics; arrays and reports come in, ink goes out. pyplot 
 system and no global figure is involved.
 """
 
+from napari_mufasa.report.plots.calibration import calibration
 from napari_mufasa.report.plots.diagnosis import (
     count_strengths,
     curve,
@@ -19,12 +20,21 @@ from napari_mufasa.report.plots.diagnosis import (
     strengths,
     z_scores,
 )
-from napari_mufasa.report.plots.emission import contact_sheet, distribution, distributions, side_by_side, trace, w1_bars
+from napari_mufasa.report.plots.emission import (
+    contact_sheet,
+    distribution,
+    distributions,
+    lit_trace,
+    side_by_side,
+    trace,
+    w1_bars,
+)
 from napari_mufasa.report.plots.movies import molecules, montage
 from napari_mufasa.report.plots.themes import PALETTES, Palette, Theme, figure, image_bytes, style
 
 __all__ = [
-    "PALETTES", "Palette", "Theme", "contact_sheet", "count_strengths", "curve", "curves", "distribution",
-    "distributions", "evidence", "figure", "image_bytes", "molecules", "montage", "side_by_side", "staircase",
-    "strengths", "style", "trace", "w1_bars", "z_scores",
+    "PALETTES", "Palette", "Theme", "calibration", "contact_sheet", "count_strengths", "curve", "curves",
+    "distribution", "distributions", "evidence", "figure", "image_bytes", "lit_trace", "molecules", "montage",
+    "side_by_side",
+    "staircase", "strengths", "style", "trace", "w1_bars", "z_scores",
 ]  # fmt: skip

@@ -31,6 +31,16 @@ def trace(ax: Axes, photoelectrons: NDArray[Any], title: str = "", interval_s: f
     parts.title(ax, title)
 
 
+def lit_trace(ax: Axes, photoelectrons: NDArray[Any], lit: NDArray[Any], bleached: int) -> None:
+    """One molecule's signal, a bar where it is on, and the frame in which it bleaches (negative: in none)."""
+    trace(ax, photoelectrons)
+    p, frames, at_the_bottom = palette(), np.arange(len(photoelectrons)), ax.get_xaxis_transform()
+    ax.fill_between(frames, 0, 0.025, where=lit, color=p.floor, linewidth=0, transform=at_the_bottom)
+    if bleached >= 0:
+        ax.axvline(bleached, color=p.bad, linewidth=1, linestyle="--")
+    ax.set_xlabel("frame (green: on; dashed: bleached)")
+
+
 def contact_sheet(
     parent: Figure | SubFigure, traces: NDArray[Any], labels: Sequence[object] | None = None,
     columns: int = 4, most: int = 20,

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Literal
 
+from napari_mufasa.provenance import made_by, version
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -87,5 +89,6 @@ def image_bytes(made: Figure, kind: Literal["png", "svg"] = "png", dpi: int = 15
 
     FigureCanvasAgg(made)
     buffer = BytesIO()
-    made.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
+    about = {"Software": f"napari-mufasa {version()}", "Comment": made_by()["command"] or "from Python"}
+    made.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else about)
     return buffer.getvalue()

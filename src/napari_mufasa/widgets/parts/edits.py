@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import napari
 import numpy as np
-from magicgui.types import Undefined
 from magicgui.widgets import ComboBox, FileEdit, LineEdit
+from napari.layers import Image, Layer, Points
+from napari.viewer import Viewer
 
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.layers import stored
 from napari_mufasa.report.fields import number_text
-from napari_mufasa.widgets.turns.session import stored
-
-if TYPE_CHECKING:
-    from napari.viewer import Viewer
 
 PLACE = "where the model fails"  # role of layers that show misfit: never a movie
 
@@ -79,14 +79,14 @@ class NumberEdit(TypedEdit):
     def parse(self, text: str) -> float | int:
         try:
             number = float(text.replace("−", "-").replace(",", "."))
-            value = int(number) if self.whole and number == int(number) else number
+            value = int(number) if self.whole else number
         except (ValueError, OverflowError):
             raise ValueError("give a number") from None
-        if self.whole and not isinstance(value, int):
+        if self.whole and value != number:
             raise ValueError("give a whole number")
         if (self.min is not None and value < self.min) or (self.max is not None and value > self.max):
-            most = "" if self.max is None else f" … {number_text(self.max)}"
-            raise ValueError(f"give {number_text(self.min)}{most or ' or more'}")
+            most = " or more" if self.max is None else f" … {number_text(self.max)}"
+            raise ValueError(f"give {number_text(self.min)}{most}")
         return value
 
     def spell(self, value: float) -> str:
@@ -104,27 +104,26 @@ class ListEdit(TypedEdit):
         parts = [part.strip() for part in text.split(",") if part.strip()]
         if self.of == "words":
             return tuple(parts)
+        in_pairs = self.of == "pairs"
         try:
             groups = [tuple(float(number) for number in part.split(":")) for part in parts]
+            if any(len(group) != 1 + in_pairs for group in groups):
+                raise ValueError
         except ValueError:
-            groups = [()]
-        size = 2 if self.of == "pairs" else 1
-        if any(len(group) != size for group in groups):
-            raise ValueError("give pairs, e.g. 0:0, 200:180" if size == 2 else "give numbers, e.g. 0, 0.5, 1")
-        return tuple(groups) if size == 2 else tuple(group[0] for group in groups)
+            raise ValueError(f"give {'pairs, e.g. 0:0, 200:180' if in_pairs else 'numbers, e.g. 0, 0.5, 1'}") from None
+        return tuple(groups) if in_pairs else tuple(number for (number,) in groups)
 
     def spell(self, value: Iterable[Any]) -> str:
         if self.of == "words":
             return ", ".join(value)
-        groups = value if self.of == "pairs" else [(number,) for number in value]
-        return ", ".join(":".join(f"{number:g}" for number in group) for group in groups)
+        return ", ".join(":".join(f"{number:g}" for number in np.atleast_1d(group)) for group in value)
 
 
 class ShapeEdit(TypedEdit):
     """A pair of whole numbers: `96 × 128`."""
 
     def parse(self, text: str) -> tuple[int, int]:
-        parts = text.replace("×", " ").replace("x", " ").replace(",", " ").split()
+        parts = re.split(r"[\s×x,]+", text)
         if len(parts) != 2 or not all(part.isdecimal() for part in parts):
             raise ValueError("give two whole numbers: height × width")
         return int(parts[0]), int(parts[1])
@@ -136,36 +135,29 @@ class ShapeEdit(TypedEdit):
 class MapEdit(FileEdit):
     """A per-pixel map: the path of a TIFF, or the map itself; empty: none."""
 
-    def __init__(self, *, value: Any = Undefined, **options: Any) -> None:
-        self._map: Any = None
-        self._words = ""
+    def __init__(self, **options: Any) -> None:
+        self._shown, self._kept = "", None
         super().__init__(filter="TIFF (*.tif *.tiff)", nullable=True, **options)
-        self.choose_btn.text = "TIFF …"
-        self.choose_btn.tooltip = "Read the map from a 2-D TIFF"
-        self.line_edit.native.setPlaceholderText("none")
-        self.line_edit.native.setClearButtonEnabled(True)
+        self.choose_btn.text, self.choose_btn.tooltip = "TIFF …", "Read the map from a 2-D TIFF"
+        line = self.line_edit.native
+        line.setPlaceholderText("none")
+        line.setClearButtonEnabled(True)
         self.line_edit.changed.disconnect()  # at every key
-        self.line_edit.native.editingFinished.connect(self._on_finished)
-        if value is not Undefined:
-            self.value = value
+        line.editingFinished.connect(lambda: self.changed.emit(self.value) if line.text() != self._shown else None)
 
     def get_value(self) -> Any:
         text = self.line_edit.native.text()
-        return self._map if text == self._words else text or None
+        return self._kept if text == self._shown else text or None
 
     def set_value(self, value: Any) -> None:
         text = "" if value is None else str(value)
-        if value is not None and np.ndim(value) == 2:
-            text = " × ".join(str(n) for n in np.shape(value)) + " map"
+        if np.ndim(value) == 2:
+            text = " × ".join(str(n) for n in value.shape) + " map"
         is_new = text != self.line_edit.native.text()
-        self._map, self._words = value, text
+        self._shown, self._kept = text, value
         self.line_edit.native.setText(text)
         if is_new:
             self.changed.emit(value)
-
-    def _on_finished(self) -> None:
-        if self.line_edit.native.text() != self._words:
-            self.changed.emit(self.value)
 
 
 class LayerEdit(ComboBox):
@@ -175,21 +167,16 @@ class LayerEdit(ComboBox):
         self.kind = kind
         self.null_string = "the sample's layout" if kind == "points" else "none"
         self.viewer: Viewer | None = None  # None: the current one
-        self._given: Any = None
+        self._given: Layer | None = None
         super().__init__(**(options | {"choices": LayerEdit.offered}))
 
-    def offered(self) -> list[tuple[str, Any]]:
+    def offered(self) -> list[tuple[str, Layer]]:
         """Names and layers to choose from. Dark frames and pictures of misfit are never the movie."""
-        import napari
-        from napari.layers import Image, Points
-
         viewer = self.viewer or napari.current_viewer()
-        layers = list(viewer.layers) if viewer is not None else []
-        if self.kind == "points":
-            layers = [layer for layer in layers if isinstance(layer, Points)]
-        else:
-            barred = (PLACE,) if self.kind == "dark" else (PLACE, "dark frames")
-            layers = [layer for layer in layers if isinstance(layer, Image) and stored(layer, "role") not in barred]
+        kind = Points if self.kind == "points" else Image
+        barred = {"points": (), "dark": (PLACE,), "movie": (PLACE, "dark frames")}[self.kind]
+        layers = [*viewer.layers] if viewer is not None else []
+        layers = [layer for layer in layers if isinstance(layer, kind) and stored(layer, "role") not in barred]
         if self._given is not None and self._given not in layers:
             layers.append(self._given)
         return [(layer.name, layer) for layer in layers]
@@ -200,13 +187,10 @@ class LayerEdit(ComboBox):
 
     @value.setter
     def value(self, layer: Any) -> None:
-        from napari.layers import Layer
-
         if layer is not None and layer not in self.choices:
             if not isinstance(layer, Layer):
-                raise MufasaError(
-                    f"{self.name} is a {type(layer).__name__}: give a layer, as napari.layers.Image(array)"
-                )
+                given = type(layer).__name__
+                raise MufasaError(f"{self.name} is a {given}: give a layer, as napari.layers.Image(array)")
             self._given = layer
             self.reset_choices()
         ComboBox.value.fset(self, layer)  # type: ignore[attr-defined]

@@ -6,15 +6,14 @@ from collections.abc import Generator, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from napari.layers import Image, Layer, Points
+from napari.viewer import Viewer
 
 from napari_mufasa.files.layers import contrast
 from napari_mufasa.files.movies import METADATA_KEY
 from napari_mufasa.widgets.turns.gently import gently, room_for, shown_later, without_labels
 
 if TYPE_CHECKING:
-    from napari.layers import Image, Layer, Points
-    from napari.viewer import Viewer
-
     from napari_mufasa.model.model import Model
 
 
@@ -32,14 +31,13 @@ def space_of(movie: Image, first_frame: int = 0) -> dict[str, Any]:
     return {"scale": tuple(scale), "translate": (start, *translate[1:]), "units": units}
 
 
-def movie_layer(data: Any, name: str, space: dict[str, Any], model: Model | None = None,
-                seed: int | None = None, **options: Any) -> Image:  # fmt: skip
+def movie_layer(
+    data: Any, name: str, space: dict[str, Any], model: Model | None = None, seed: int | None = None, **options: Any
+) -> Image:
     """A movie as an Image layer; contrast from one frame or a few, so that lazy data stay lazy.
 
     `ours` among the options is kept in ``metadata["napari_mufasa"]``, beside model and seed.
     """
-    from napari.layers import Image
-
     ours = ({"model": model.to_dict(), "seed": seed} if model is not None else {}) | options.pop("ours", {})
     if "contrast_limits" not in options:
         # Of stored results one frame: each may cost a twentieth of a second, and the interface waits.
@@ -50,8 +48,6 @@ def movie_layer(data: Any, name: str, space: dict[str, Any], model: Model | None
 
 def points_on(movie: Layer, positions_px: Any, features: Any, name: str, **options: Any) -> Points:
     """A layer of molecules (y, x) in pixels as rings of about a PSF, to lie on top of `movie`."""
-    from napari.layers import Points
-
     positions = np.asarray(positions_px, dtype=float).reshape(-1, 2)
     where = {key: tuple(value)[-2:] for key, value in like(movie).items()}
     metadata = {METADATA_KEY: options.pop("ours", {})}
@@ -77,15 +73,50 @@ def added_hidden(viewer: Viewer, layer: Layer, shown: bool) -> Generator[None, N
         yield from room_for(viewer, layer.data.shape, layer.scale)
     with gently(viewer):
         viewer.add_layer(layer)
-    if hasattr(layer, "text"):
+    if isinstance(layer, Points):
         without_labels(viewer, layer)
     if shown:
         yield from shown_later(viewer, layer)
     yield
 
 
-def resolution_um(layer: Layer) -> float | None:
-    """The pixel size in µm that the layer states, if it states one."""
-    size, unit = float(layer.scale[-1]), str(layer.units[-1])
-    factor = {"micrometer": 1.0, "um": 1.0, "µm": 1.0, "nanometer": 1e-3, "nm": 1e-3}.get(unit)
-    return size * factor if factor is not None else None
+class OwnLayers:
+    """Layers of a panel by name, on top of a movie. They are kept and given new data where they can be: napari needs a
+    quarter of a second to make one."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.viewer = viewer
+        self._layers: dict[str, Any] = {}
+
+    def get(self, name: str) -> Any:
+        """The layer, unless the user has taken it out."""
+        layer = self._layers.get(name)
+        return layer if layer is not None and layer in self.viewer.layers else None
+
+    def show(self, name: str, new: Any, movie: Image, at: int | None = None) -> bool:
+        """Show a layer, at the top or as number `at`, or its values in the one that is there; whether it is new."""
+        layer, layers = self.get(name), self.viewer.layers
+        if layer is None:
+            self._layers[name] = new
+            with gently(self.viewer):
+                layers.insert(len(layers) if at is None else at, new)
+                layers.selection.active = movie
+            if isinstance(new, Points):
+                without_labels(self.viewer, new)
+            return True
+        if layer.data.shape != new.data.shape or not np.array_equal(layer.data, new.data):
+            layer.data = new.data
+        for key in ("name", "scale", "translate", "metadata"):
+            setattr(layer, key, getattr(new, key))
+        if isinstance(layer, Points):
+            layer.features = new.features
+            layer.refresh_colors()
+        return False
+
+    def remove(self, name: str) -> bool:
+        """Take a layer out; whether there was one."""
+        layer = self.get(name)
+        self._layers.pop(name, None)
+        if layer is not None:
+            self.viewer.layers.remove(layer)
+        return layer is not None

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from magicgui.types import Undefined
 from magicgui.widgets import ComboBox, Container, PushButton
 from magicgui.widgets.bases import ValuedContainerWidget
-from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy
+from qtpy.QtWidgets import QFileDialog, QSizePolicy
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.model.presets import PRESETS
+from napari_mufasa.model.model import Model
+from napari_mufasa.model.presets import PRESETS, preset
+from napari_mufasa.widgets.parts.pieces import Words
+from napari_mufasa.widgets.turns.jobs import report_error
 from napari_mufasa.widgets.turns.session import Session
 
 FROM_FILE = "model.json …"
@@ -27,29 +30,26 @@ class ModelEdit(ValuedContainerWidget[Any]):
     `follow` makes it the model of a viewer's session.
     """
 
-    def __init__(self, value: Any = Undefined, **options: Any) -> None:
+    def __init__(self, value: Any = Undefined, session: Session | None = None, **options: Any) -> None:
         self.session = Session()
         self.source: Any = ComboBox(choices=[FROM_LAYER, *PRESETS, FROM_FILE], tooltip="Where the model comes from")
         self.save_button = PushButton(text="Save …", tooltip="Write the model as model.json")
         self.save_button.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
-        self.origin = QLabel()
-        self.origin.setWordWrap(True)
         row = Container(widgets=[self.source, self.save_button], layout="horizontal", labels=False)
-        row.margins = (0, 0, 0, 0)
         super().__init__(widgets=[row], labels=False, **options)
-        self.margins = (0, 0, 0, 0)
+        row.margins = self.margins = (0, 0, 0, 0)
+        self.origin = Words()
         self.native.layout().addWidget(self.origin)
         self.source.native.setAccessibleName("Model")
         self.source.native.activated.connect(lambda _index: self._reporting(self._on_chosen))
         self.save_button.changed.connect(lambda: self._reporting(self._save))
-        self.session.model_changed.connect(self._show)
+        self.follow(session or self.session)
         if value is not Undefined:
             self.value = value
-        self._show()
 
     def follow(self, session: Session) -> None:
         """Take part in the session of a viewer."""
-        self.session.model_changed.disconnect(self._show)
+        self._leave()
         self.session = session
         session.model_changed.connect(self._show)
         self.native.destroyed.connect(self._leave)
@@ -59,15 +59,10 @@ class ModelEdit(ValuedContainerWidget[Any]):
         return self.session.model if self.session.model_chosen or self.session.has_viewer else None
 
     def set_value(self, value: Any) -> None:
-        from napari_mufasa.model.model import Model
-        from napari_mufasa.model.presets import preset
-
         if value is None:
             self.session.forget_model()
-        elif isinstance(value, Model):
-            self.session.set_model(value, "as given")
-        elif isinstance(value, Mapping):
-            self.session.set_model(Model.from_dict(value), "as given")
+        elif isinstance(value, (Model, Mapping)):
+            self.session.set_model(value if isinstance(value, Model) else Model.from_dict(value), "as given")
         elif value in PRESETS:
             self.session.set_model(preset(value), f"preset {value}")
         elif isinstance(value, (str, os.PathLike)):
@@ -75,13 +70,10 @@ class ModelEdit(ValuedContainerWidget[Any]):
         else:
             raise MufasaError(f"model is a {type(value).__name__}: give a Model, a preset's name or a model.json")
 
-    def choose(self, name: str) -> None:
-        """As if the user had chosen `name` from the list."""
-        self.source.value = name
-        self._reporting(self._on_chosen)
-
-    def open_file(self, path: str) -> None:
-        self._reporting(lambda: self.set_value(Path(path)))
+    def reset_choices(self, *_: Any) -> None:
+        """magicgui makes the list anew when a form is put somewhere; what it shows stays."""
+        super().reset_choices()
+        self._show()
 
     def _on_chosen(self) -> None:
         name = self.source.value
@@ -102,9 +94,7 @@ class ModelEdit(ValuedContainerWidget[Any]):
         if path:
             self.value.to_json(path)
 
-    def _reporting(self, action: Any) -> None:
-        from napari_mufasa.widgets.turns.jobs import report_error
-
+    def _reporting(self, action: Callable[[], Any]) -> None:
         try:
             action()
         except MufasaError as error:
@@ -116,19 +106,16 @@ class ModelEdit(ValuedContainerWidget[Any]):
             self.session.model_changed.disconnect(self._show)
 
     def _show(self) -> None:
-        model = self.get_value()
-        origin = self.session.model_origin if model is not None else ""
-        plain = origin.removeprefix("preset ")
-        known = plain if plain in PRESETS else FROM_LAYER if not origin or origin.startswith("metadata of") else ""
-        combo = self.source.native
-        combo.setPlaceholderText(origin)
-        blocked = combo.blockSignals(True)
-        combo.setCurrentIndex(combo.findText(known))  # -1 shows the placeholder
-        combo.blockSignals(blocked)
-        words = ""
+        """The source in the list, or in its place the words for one that is not in it; and what the model is."""
+        model, words, shown = self.get_value(), "", FROM_LAYER
+        combo, origin = self.source.native, self.session.model_origin
         if model is not None:
             effects = ", ".join((effect.title or effect.kind).lower() for effect in model.effects)
             words = f"{origin} · {model.protocol}, {model.camera.type}" + (f" · with {effects}" if effects else "")
-        self.origin.setText(words)
-        self.origin.setVisible(bool(words))
+            shown = FROM_LAYER if origin.startswith("metadata of") else origin.removeprefix("preset ")
+            combo.setPlaceholderText(origin)
+        blocked = combo.blockSignals(True)
+        combo.setCurrentIndex(combo.findText(shown))  # -1 shows the placeholder
+        combo.blockSignals(blocked)
+        self.origin.say(words)
         self.changed.emit(model)

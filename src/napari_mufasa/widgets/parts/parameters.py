@@ -13,30 +13,25 @@ from napari_mufasa.widgets.parts.model_edit import ModelEdit
 _MOVIE: dict[str, Any] = {
     "widget_type": LayerEdit, "label": "Movie", "tooltip": "The movie, an Image layer (frame, y, x)",
 }  # fmt: skip
+_DARK: dict[str, Any] = {
+    "widget_type": LayerEdit, "kind": "dark", "label": "Dark frames",
+    "tooltip": "Frames without light, recorded with the same camera settings",
+}  # fmt: skip
+_DARK_FRAMES: dict[str, Any] = {
+    "label": "… or first frames dark", "min": 0, "max": 1_000_000,
+    "tooltip": "Number of frames at the start of the movie that were taken without light",
+}  # fmt: skip
+_MODEL: dict[str, Any] = {
+    "widget_type": ModelEdit, "label": "Model", "tooltip": "None: the model in the movie's metadata",
+}  # fmt: skip
+_SEED: dict[str, Any] = {
+    "label": "Seed", "min": 0, "max": 2**31 - 1, "tooltip": "The same seed gives the same answer",
+}  # fmt: skip
 Movie: TypeAlias = Annotated[Image, _MOVIE]
 AnyMovie: TypeAlias = Annotated[Image | None, _MOVIE]
-Dark: TypeAlias = Annotated[
-    Image | None,
-    {
-        "widget_type": LayerEdit, "kind": "dark", "label": "Dark frames",
-        "tooltip": "Frames without light, recorded with the same camera settings",
-    },
-]  # fmt: skip
-DarkFrames: TypeAlias = Annotated[
-    int,
-    {
-        "label": "… or first frames dark", "min": 0, "max": 1_000_000,
-        "tooltip": "Number of frames at the start of the movie that were taken without light",
-    },
-]  # fmt: skip
-Molecules: TypeAlias = Annotated[
-    Points | None,
-    {"widget_type": LayerEdit, "kind": "points", "label": "Molecules at", "tooltip": "Points to simulate molecules at"},
-]
-Believed: TypeAlias = Annotated[
-    Model | None, {"widget_type": ModelEdit, "label": "Model", "tooltip": "None: the model in the movie's metadata"}
-]
-Seed: TypeAlias = Annotated[
-    int, {"label": "Seed", "min": 0, "max": 2**31 - 1, "tooltip": "The same seed gives the same answer"}
-]
+Dark: TypeAlias = Annotated[Image | None, _DARK]
+DarkFrames: TypeAlias = Annotated[int, _DARK_FRAMES]
+Molecules: TypeAlias = Annotated[Points | None, {"widget_type": LayerEdit, "kind": "points", "label": "Molecules at"}]
+Believed: TypeAlias = Annotated[Model | None, _MODEL]
+Seed: TypeAlias = Annotated[int, _SEED]
 SEED = {"seed": "steps.seed"}  # what it begins with

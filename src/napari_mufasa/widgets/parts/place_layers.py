@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from napari.layers import Image, Points
 
 from napari_mufasa.discover.places import MOLECULE_WORDS, WORDS, Places, place_of
 from napari_mufasa.files.movies import METADATA_KEY
 from napari_mufasa.report.lines import map_line, molecules_line
 from napari_mufasa.widgets.parts.edits import PLACE
-from napari_mufasa.widgets.parts.layers import movie_layer, points_on, space_of
-from napari_mufasa.widgets.turns.gently import gently, without_labels
-
-if TYPE_CHECKING:
-    from napari.layers import Image, Points
-    from napari.viewer import Viewer
+from napari_mufasa.widgets.parts.layers import OwnLayers, movie_layer, points_on, space_of
 
 SD_SHOWN = 6.0  # the colours' ends
 GAP_PX = 4
@@ -24,8 +20,6 @@ GAP_PX = 4
 
 def map_of(name: str, places: Places, movie: Image, first_frame: int = 0) -> Image:
     """The misfit by place as an image on top of the movie, one for all frames or one for each stretch of them."""
-    from napari.layers import Image
-
     z = _stretches(places.maps[name])
     long, step = places.n_frames / len(z), float(movie.scale[0]) if movie.ndim == 3 else 1.0
     start = float(movie.translate[0]) if movie.ndim == 3 else 0.0
@@ -58,125 +52,69 @@ def simulated_of(places: Places, movie: Image, name: str, first_frame: int = 0, 
     )  # fmt: skip
 
 
-class PlaceLayers:
-    """A map and a layer of molecules with the misfit of the chosen observable, and the movie of the model as it stands.
-
-    Layers are kept and given new data where they can be: napari needs a quarter of a second to make one.
-    """
-
-    def __init__(self, viewer: Viewer) -> None:
-        self.viewer = viewer
-        self._layers: dict[str, Any] = {}
-
-    @property
-    def map(self) -> Image | None:
-        return self._alive("map")
-
-    @property
-    def molecules(self) -> Points | None:
-        return self._alive("molecules")
+class PlaceLayers(OwnLayers):
+    """A map and molecules with the misfit of the chosen observable, and the movie of the model as it stands."""
 
     @property
     def simulated(self) -> Image | None:
-        return self._alive("simulated")
+        return self.get("simulated")
 
     @property
     def showing(self) -> bool:
         """Whether a place is shown."""
-        return any(layer is not None and layer.visible for layer in (self.map, self.molecules))
+        return any(layer is not None and layer.visible for layer in (self.get("map"), self.get("molecules")))
 
     def clear(self) -> Generator[None, None, None]:
         """Take all away, one at a time: napari collects its garbage at each."""
         for name in ("map", "molecules", "simulated"):
-            if self._alive(name) is not None:
-                self._remove(name)
+            if self.remove(name):
                 yield
 
+    def show(self, name: str, new: Any, movie: Image, at: int | None = None) -> bool:
+        is_new = super().show(name, new, movie, at)
+        self.get(name).visible = True  # it may have been hidden with the place before
+        return is_new
+
     def hide_place(self) -> None:
-        for layer in (self.map, self.molecules):
-            if layer is not None:
+        for name in ("map", "molecules"):
+            if (layer := self.get(name)) is not None:
                 layer.visible = False
 
-    def hide_simulated(self) -> None:
-        self._remove("simulated")
-
-    def show(self, observable: str, places: Places, movie: Image, first_frame: int = 0) -> str:
+    def show_place(self, observable: str, places: Places, movie: Image, first_frame: int = 0) -> str:
         """Show the place of an observable on top of `movie`; says in words what is shown."""
         self.hide_place()
-        name = place_of(observable)
-        if name.startswith("molecules:"):
-            return self._show_molecules(name.removeprefix("molecules:"), places, movie)
-        if name == "frames":
+        kind, _, number = place_of(observable).partition(":")
+        if kind == "molecules":
+            if number not in places.molecules or not len(places.molecules):
+                return "No molecule was found to show this on."
+            self.show("molecules", molecules_of(number, places, movie), movie)
+            return molecules_line(f"where: {MOLECULE_WORDS[number]}", places.molecules, number)
+        if kind == "frames":
             worst = int(np.argmax(np.abs(places.frames)))
             self._go_to(worst + first_frame, movie)
             return f"Frame {worst + first_frame} is farthest off: {places.frames[worst]:+.1f} sd in its mean."
-        if name not in places.maps:
-            return ""
-        return self._show_map(name, places, movie, first_frame)
+        return self._show_map(kind, places, movie, first_frame) if kind in places.maps else ""
 
-    def show_simulated(self, places: Places, movie: Image, name: str, first_frame: int = 0) -> None:
+    def show_simulated(self, places: Places, movie: Image, first_frame: int, name: str) -> None:
         """The model's movie beside the measured one."""
-        new = simulated_of(places, movie, name, first_frame)
-        if self._take("simulated", new, movie) is new:
+        if self.show("simulated", simulated_of(places, movie, name, first_frame), movie):
             self.viewer.reset_view()
 
-    # kinds of places --------------------------------------------------------------------------------
     def _show_map(self, name: str, places: Places, movie: Image, first_frame: int) -> str:
-        layer = self._take("map", map_of(name, places, movie, first_frame), movie)
+        new = map_of(name, places, movie, first_frame)
+        self.show("map", new, movie, at=self.viewer.layers.index(movie) + 1)  # below the molecules
         z, frames = _stretches(places.maps[name]), ""
         if len(z) > 1:
             long, worst = places.n_frames / len(z), int(np.argmax(np.square(z).mean(axis=(1, 2))))
             start, stop = round(worst * long), round((worst + 1) * long) - 1
             frames = f"; frames {start + first_frame} … {stop + first_frame} are farthest off"
             self._go_to((start + stop) // 2 + first_frame, movie)
-        return map_line(layer.name, z, frames)
-
-    def _show_molecules(self, number: str, places: Places, movie: Image) -> str:
-        table = places.molecules
-        if not len(table) or number not in table:
-            return "No molecule was found to show this on."
-        layer = self._take("molecules", molecules_of(number, places, movie), movie)
-        return molecules_line(layer.name, table, number)
-
-    def _take(self, name: str, new: Any, movie: Image) -> Any:
-        """Show a layer: its values in the one that is there, or itself."""
-        layer = self._alive(name)
-        if layer is None:
-            self._layers[name] = layer = new
-            layers = self.viewer.layers
-            with gently(self.viewer):
-                layers.append(layer)
-                if name == "map":
-                    layers.move(layers.index(layer), layers.index(movie) + 1)  # below the molecules
-                layers.selection.active = movie
-            if name == "molecules":
-                without_labels(self.viewer, layer)
-            return layer
-        if layer.data.shape != new.data.shape or not np.array_equal(layer.data, new.data):
-            layer.data = new.data
-        for key in ("name", "scale", "translate", "metadata"):
-            setattr(layer, key, getattr(new, key))
-        if name == "molecules":
-            layer.features = new.features
-            layer.refresh_colors()
-        layer.visible = True
-        return layer
+        return map_line(new.name, z, frames)
 
     def _go_to(self, frame: int, movie: Image) -> None:
         """Show a frame, counted in the movie's own frames."""
         if movie.ndim == 3:
             self.viewer.dims.set_point(0, float(movie.translate[0] + frame * movie.scale[0]))
-
-    def _alive(self, name: str) -> Any:
-        """The layer, unless the user has taken it out."""
-        layer = self._layers.get(name)
-        return layer if layer is not None and layer in self.viewer.layers else None
-
-    def _remove(self, name: str) -> None:
-        layer = self._alive(name)
-        self._layers.pop(name, None)
-        if layer is not None:
-            self.viewer.layers.remove(layer)
 
 
 def _at(places: Places, movie: Image) -> tuple[float, float]:

@@ -9,72 +9,49 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from napari.viewer import Viewer
 from qtpy.QtCore import QSize, Qt
-from qtpy.QtGui import QImage, QPainter
-from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
+from qtpy.QtGui import QImage, QPixmap
+from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QToolButton, QWidget
 
 from napari_mufasa.report.offscreen import Draw, rgba, with_figure
-from napari_mufasa.widgets.turns.latest import Latest
+from napari_mufasa.widgets.parts.pieces import column, row
+from napari_mufasa.widgets.turns.jobs import Latest
 
 if TYPE_CHECKING:
     import pandas as pd
-    from napari.viewer import Viewer
 
 MIN_HEIGHT = 210
 DPI = 100
-
-
-class Picture(QWidget):
-    """The last picture drawn, scaled to the room there is until the next one comes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.image: QImage | None = None
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-
-    def paintEvent(self, _event: Any) -> None:
-        if self.image is not None:
-            painter = QPainter(self)
-            painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
-            painter.drawImage(self.rect(), self.image)
-            painter.end()
 
 
 class PlotCanvas(QWidget):
     """One plot. ``draw(function, data)`` calls ``function(figure)`` in a thread; `data` is the table that it shows.
 
     The function is kept, and called again when the theme or the size changes, because texts are wrapped to the size.
-    A plot that is not to be seen is not drawn until it is.
+    Until the next picture comes, the last one is scaled to the room there is. A plot that is not to be seen is not
+    drawn until it is.
     """
 
     def __init__(self, viewer: Viewer, hint: str = "", height: int = MIN_HEIGHT) -> None:
         super().__init__()
         self._viewer = viewer
         self._draw: Draw | None = None
-        self._height = height
         self._stale = False
         self.data: pd.DataFrame | None = None
-        self.hint = QLabel(hint)
-        self.hint.setWordWrap(True)
-        self.hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.title = QLabel()
+        self.title.setWordWrap(True)
         self.save_button = QToolButton()
         self.save_button.setText("Save …")
         self.save_button.setToolTip("Save the plot (PNG, SVG, PDF) or its data (CSV)")
         self.save_button.clicked.connect(self._ask_and_save)
-        self.title = QLabel()
-        self.title.setWordWrap(True)
-        self.picture = Picture()
+        self.picture = QLabel(hint)  # or the hint, while there is none
+        self.picture.setWordWrap(True)
+        self.picture.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.picture.setScaledContents(True)
+        self.picture.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
         self.picture.setMinimumHeight(height - 50)
-        self.picture.hide()
-        bar = QHBoxLayout()
-        bar.addWidget(self.title, 1)
-        bar.addWidget(self.save_button, 0, Qt.AlignmentFlag.AlignTop)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(2)
-        layout.addLayout(bar)
-        layout.addWidget(self.hint, 1)
-        layout.addWidget(self.picture, 1)
+        column(self, row(self.title, self.save_button, shares=(1,)), self.picture, shares=(0, 1)).setSpacing(2)
         # Stacked docks would squash a plot to a sliver.
         self.setMinimumHeight(height)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
@@ -84,7 +61,7 @@ class PlotCanvas(QWidget):
         viewer.events.theme.connect(self._on_theme)
 
     def sizeHint(self) -> QSize:
-        return QSize(380, self._height)
+        return QSize(380, self.minimumHeight())
 
     def resizeEvent(self, event: Any) -> None:
         super().resizeEvent(event)
@@ -105,22 +82,20 @@ class PlotCanvas(QWidget):
         return self._latest.busy
 
     def draw(self, function: Draw, data: pd.DataFrame | None = None, title: str = "") -> None:
+        if self._draw is None:
+            self.picture.clear()
         self._draw, self.data = function, data
         self.title.setText(title)
-        self.hint.hide()
         self.save_button.show()
-        self.picture.show()
         self._paint()
 
-    def clear(self, hint: str | None = None) -> None:
-        self._draw, self.data, self.picture.image = None, None, None
+    def clear(self, hint: str) -> None:
+        """Show a hint instead of a plot."""
+        self._draw, self.data = None, None
         self._latest.drop()
         self.title.clear()
-        if hint is not None:
-            self.hint.setText(hint)
-        self.hint.show()
+        self.picture.setText(hint)
         self.save_button.hide()
-        self.picture.hide()
 
     def save(self, path: str) -> None:
         """PNG, SVG or PDF picture, or the data as CSV."""
@@ -143,8 +118,10 @@ class PlotCanvas(QWidget):
 
     def _size(self) -> tuple[int, int, float]:
         """Width and height in pixels of the screen, and how many of them are one of Qt's."""
-        ratio = float(self.devicePixelRatioF())
-        width, height = max(self.picture.width(), 200), max(self.picture.height(), self._height - 50)
+        layout: Any = self.layout()
+        layout.activate()  # a new title may have taken room
+        ratio, room = float(self.devicePixelRatioF()), self.picture.contentsRect()
+        width, height = max(room.width(), 200), max(room.height(), 100)
         return round(width * ratio), round(height * ratio), ratio
 
     def _theme(self) -> tuple[str, bool]:
@@ -158,8 +135,7 @@ class PlotCanvas(QWidget):
             self.clear(f"The plot failed: {outcome.error}")
             return
         if self._draw is not None:
-            self.picture.image = outcome.value
-            self.picture.update()
+            self.picture.setPixmap(QPixmap.fromImage(outcome.value))
 
     def _on_theme(self, _event: Any = None) -> None:
         try:

@@ -6,24 +6,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from magicgui.widgets import ComboBox
 from napari.layers import Layer
-from qtpy.QtWidgets import QVBoxLayout
+from qtpy.QtWidgets import QWidget
 
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.lines import comparison_table
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.widgets.parts.forms import dress_one, step_form
+from napari_mufasa.widgets.parts.forms import dress_one, widget_of
 from napari_mufasa.widgets.parts.layers import ours
-from napari_mufasa.widgets.parts.panel import Panel, Tabs, boxed, button, wrapped
+from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
+from napari_mufasa.widgets.parts.pieces import Tabs, Words, button, column
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.traces import molecules_on
 from napari_mufasa.widgets.turns.live import LiveLine, live_of
-from napari_mufasa.widgets.turns.session import believed, measurement_of
+from napari_mufasa.widgets.turns.session import believed
 from napari_mufasa.widgets.turns.steering import steering
 
 if TYPE_CHECKING:
-    from magicgui.widgets import FunctionGui
-    from napari.viewer import Viewer
-
     from napari_mufasa.compare import Comparison
 
 CURVES = [
@@ -38,18 +38,16 @@ def compare(
     dark_frames: DarkFrames = 0,
     model: Believed = None,
     seed: Seed = 1,
-    fit: Annotated[
-        bool,
-        {
-            "label": "also fit brightness, background and bleaching",
-            "tooltip": "A wrong laser power is then not read as wrong physics",
-        },
-    ] = True,
+    fit: Annotated[bool, {"label": "also fit brightness, background and bleaching"}] = True,
 ) -> list[Layer]:
     """Simulate the believed model, read its movie like the measured one, and compare the molecules' signals.
 
-    Returns one layer of points, the molecules compared; its ``metadata["napari_mufasa"]["comparison"]`` is the
-    `Comparison`.
+    Parameters:
+        fit: A wrong laser power is then not read as wrong physics
+
+    Returns:
+        One layer of points, the molecules compared; its ``metadata["napari_mufasa"]["comparison"]`` is the
+        `Comparison`.
     """
     from napari_mufasa.compare import compare_movie
 
@@ -63,8 +61,7 @@ def compare(
     return [molecules_on(movie, found.measured, comparison=found)]
 
 
-def compare_widget(viewer: Viewer | None = None, call_button: Any = "Compare") -> FunctionGui[..., Any]:
-    return step_form(compare, viewer, call_button, SEED | {"fit": "steps.fit_before_comparing"})
+compare_widget = widget_of(compare, "Compare", SEED | {"fit": "steps.fit_before_comparing"})
 
 
 class ComparePanel(Panel):
@@ -72,34 +69,31 @@ class ComparePanel(Panel):
         "Simulate the believed model, read its movie like the measured one, and compare the molecules' signals. "
         "The floor is the distance between two halves of the measurement: no model gets below it."
     )
-    run_label, running, needs = "Compare", "Comparing", "counts"
+    run_label, running, needs_counts = "Compare", "Comparing", True
     form_factory = compare_widget
 
     def build(self) -> None:
         self.comparison: Comparison | None = None
-        self.result, self.live_line = wrapped(), LiveLine(self.session)
-        self.result.hide()
-        self.add(self.form.native, self.run_bar, self.result, self.live_line)
-        self.live = PlotCanvas(self.viewer, "Measured signal and that of the model as it is being edited.", 230)
-        self.traces = PlotCanvas(self.viewer, "Measured and simulated traces appear here.", 230)
+        self.result, self.live_line = Words(), LiveLine(self.session)
         self.distances = PlotCanvas(self.viewer, "The distances appear here.", 260)
         self.curves = PlotCanvas(self.viewer, "The distributions appear here.", 230)
-        live_of(self.session).changed.connect(self._show_live)
+        self.live = PlotCanvas(self.viewer, "Measured signal and that of the model as it is being edited.", 230)
+        self.traces = PlotCanvas(self.viewer, "Measured and simulated traces appear here.", 230)
         self.which = dress_one(ComboBox(choices=CURVES, label="Distribution"))
         self.which.changed.connect(self._show_curves)
-        page = boxed((self.which.native, self.curves), QVBoxLayout(), (0, 4, 0, 0))
+        page = QWidget()
+        column(page, self.which.native, self.curves, margins=(0, 4, 0, 0))
         pages = {"Distances": self.distances, "Distributions": page, "Live": self.live, "Traces": self.traces}
         self.tabs = Tabs(320, pages)
-        self.column.addWidget(self.tabs, 1)
         self.use_button = button(
             "Believe the fitted model", self._use_fitted,
             "Take the fitted brightness, background and bleaching into the model",
         )  # fmt: skip
         self.use_button.hide()
-        self.export_button = button(
-            "Export report …", lambda: self.ask_where("Export comparison", self.export, "report.json"), enabled=False
-        )
+        self.export_button = self.saver("Export report …", "Export comparison", self.export, "report.json")
+        self.add(self.form.native, self.run_bar, self.result, self.live_line, last=self.tabs)
         self.add(self.use_button, self.export_button)
+        live_of(self.session).changed.connect(self._show_live)
 
     def take(self, layers: list[Any]) -> None:
         """The molecules are step Molecules' to show: here are the distances."""
@@ -108,16 +102,16 @@ class ComparePanel(Panel):
         from napari_mufasa.report.plots.emission import MODELS
 
         comparison: Comparison = ours(layers[0])["comparison"]
-        self.comparison, w1 = comparison, comparison.w1
-        self.result.setText(comparison_table(comparison))
-        self.result.show()
+        self.comparison = comparison
+        self.result.say(comparison_table(comparison))
         self.use_button.setVisible(comparison.fit is not None)
         self.export_button.setEnabled(True)
-        self.distances.draw(drawing("w1_bars", w1), pd.DataFrame([w1]))
+        self.distances.draw(drawing("w1_bars", comparison.w1), pd.DataFrame([comparison.w1]))
         self._show_curves()
         best = "fitted" if comparison.fit is not None else "mufasa"
         self._show_traces(comparison.samples["measured"].traces, comparison.samples[best].traces, MODELS[best])
-        self.session.set_result("comparison", comparison)
+        if comparison.measured is not None:
+            self.session.set_traces(comparison.measured)
 
     def _show_curves(self, _which: Any = None) -> None:
         if self.comparison is not None:
@@ -142,13 +136,14 @@ class ComparePanel(Panel):
         if self.comparison is not None and self.comparison.fit is not None:
             self.session.set_model(self.comparison.fit.model, f"{self.session.model_origin}, fitted")
 
-    def export(self, path: str) -> None:
+    def export(self, path: str) -> str:
         """Write report.json (docs/files.md)."""
         from napari_mufasa.files.whole import write_json
 
-        if self.comparison is not None:
-            write_json(path, self.comparison.report())
-            self.run_bar.say(f"Written: {path}")
+        if self.comparison is None:
+            raise MufasaError("nothing was compared yet: press Compare first")
+        write_json(path, self.comparison.report())
+        return path
 
 
 def _draw(canvas: PlotCanvas, shown: Any, w1: dict[str, Any] | None = None) -> None:

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Generator
+from typing import Any
 
 from magicgui.widgets import ComboBox
-from qtpy.QtWidgets import QFileDialog, QHBoxLayout
+from napari.layers import Layer
+from qtpy.QtWidgets import QFileDialog
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.widgets.parts.forms import dress_one, step_form
-from napari_mufasa.widgets.parts.layers import added_hidden, resolution_um
-from napari_mufasa.widgets.parts.panel import Panel, boxed, button, wrapped
+from napari_mufasa.files.layers import (
+    LayerData,
+    Measurement,
+    measurement_of,
+    movie_layer,
+    movie_space,
+    pixel_size_um,
+    stack_of,
+    stored,
+)
+from napari_mufasa.report.lines import movie_facts
+from napari_mufasa.samples import SAMPLES
+from napari_mufasa.widgets.parts.forms import dress_one, widget_of
+from napari_mufasa.widgets.parts.layers import added_hidden
+from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
-from napari_mufasa.widgets.turns.jobs import guarded
-from napari_mufasa.widgets.turns.session import Measurement, measurement_of, model_in, stack_of, stored
-
-if TYPE_CHECKING:
-    from magicgui.widgets import FunctionGui
-    from napari.viewer import Viewer
-
-SAMPLES = [
-    ("Sample: hidden effect", "hidden_effect"), ("Sample: FF", "ff"), ("Sample: Blinking", "blinking"),
-    ("Sample: STORM", "storm"), ("Sample: PALM", "palm"),
-]  # fmt: skip
+from napari_mufasa.widgets.parts.pieces import Words, button, row
+from napari_mufasa.widgets.turns.session import model_in
 
 
 def measurement(movie: Movie, dark: Dark = None, dark_frames: DarkFrames = 0) -> Measurement:
@@ -31,28 +35,25 @@ def measurement(movie: Movie, dark: Dark = None, dark_frames: DarkFrames = 0) ->
     return measurement_of(movie, dark, dark_frames)
 
 
-def data_widget(viewer: Viewer | None = None, call_button: Any = False) -> FunctionGui[..., Any]:
-    return step_form(measurement, viewer, call_button)
-
-
 class DataPanel(Panel):
     """Choose the measurement. Opening a movie that carries its model takes that model over."""
 
     words = "Open a movie, say which layer it is and where its dark frames are."
     run_label = "Open movie …"
-    form_factory = data_widget
+    form_factory = widget_of(measurement, False)
     hidden = ()
 
     def build(self) -> None:
-        self.sample = dress_one(ComboBox(choices=SAMPLES, label="Sample"))
-        self.sample_button = button("Open sample", self._open_sample)
-        self.facts = wrapped()
+        choices = [(f"Sample: {name}", key) for key, (name, _) in SAMPLES.items()]
+        self.sample: Any = dress_one(ComboBox(choices=choices, label="Sample"))
+        self.sample_button = button("Open sample", lambda: self.open_sample(self.sample.value))
+        self.facts = Words("No movie yet.")
         self.use_model = button(
             "Believe the model in the metadata", self._use_model, "Take over the model that travelled with the movie"
         )
         self.use_scale = button("", self._use_scale)
-        row = boxed((self.sample.native, self.sample_button), QHBoxLayout())
-        self.add(self.run_bar, row, self.form.native, self.facts, self.use_model, self.use_scale)
+        samples = row(self.sample.native, self.sample_button)
+        self.add(self.run_bar, samples, self.form.native, self.facts, self.use_model, self.use_scale)
         self.column.addStretch(1)
         self.session.movie_changed.connect(self.refresh)
         self.session.model_changed.connect(self.refresh)
@@ -65,23 +66,19 @@ class DataPanel(Panel):
 
     def open_movie(self, path: str) -> None:
         """Open any TIFF or zarr movie, ours or foreign, lazily; in the background, for a header may be long."""
-
-        def work(progress: Any, cancel: Any) -> Any:
-            from napari_mufasa.files.layers import movie_layer
-
-            return _made([movie_layer(path)])
-
-        self.start("Opening", work, self.take)
+        self._open("Opening", lambda: [movie_layer(path)])
 
     def open_sample(self, key: str) -> None:
         """Open one of the plugin's samples: it is simulated in the background."""
+        self._open("Simulating the sample", SAMPLES[key][1])
 
-        def work(progress: Any, cancel: Any) -> Any:
-            from napari_mufasa import samples
+    def _open(self, title: str, read: Callable[[], list[LayerData]]) -> None:
+        def made() -> list[tuple[Layer, bool]]:
+            """Layers, not visible, and whether they are to be."""
+            hidden = {"visible": False}
+            return [(Layer.create(data, o | hidden, kind), o.get("visible", True)) for data, o, kind in read()]
 
-            return _made(getattr(samples, f"sample_{key}")())
-
-        self.start("Simulating the sample", work, self.take)
+        self.start(title, made, self.take)
 
     def take(self, made: list[tuple[Any, bool]]) -> Generator[None, None, None]:
         for layer, shown in made:
@@ -93,39 +90,28 @@ class DataPanel(Panel):
         self.viewer.dims.set_point(0, 0)
 
     def refresh(self) -> None:
-        layer = self.session.movie_layer
-        self.use_model.setVisible(False)
-        self.use_scale.setVisible(False)
+        layer, model = self.session.movie_layer, self.session.model
+        self.use_model.hide()
+        self.use_scale.hide()
         if layer is None:
-            self.facts.setText("No movie yet.")
+            self.facts.say("No movie yet.")
             return
         try:
-            shape = stack_of(layer).shape
-            carried = model_in(layer)
+            shape, carried = stack_of(layer).shape, model_in(layer)
         except MufasaError as error:
-            self.facts.setText(str(error))
+            self.facts.say(str(error))
             return
-        size = resolution_um(layer)
-        lines = [f"<b>{layer.name}</b>: {shape[0]} frames of {shape[1]} × {shape[2]} px, {layer.dtype}"]
-        lines.append(f"pixel size {size * 1000:.4g} nm" if size else "pixel size not stated: the model's is used")
-        if not size and self.session.model_chosen:
-            size_nm = self.session.model.acquisition.pixel_size_nm
-            self.use_scale.setText(f"Give it the model's pixel size, {size_nm:g} nm")
-            self.use_scale.setVisible(True)
-        if carried is None:
-            lines.append("carries no model: choose one in step Model, the camera in step Camera")
-        else:
-            same = self.session.model == carried
-            lines.append(f"carries a model ({carried.protocol}, {carried.camera.type})" + (", in use" * same))
-            self.use_model.setVisible(not same)
-        self.facts.setText("<br>".join(lines))
-
-    def _open_sample(self) -> None:
-        guarded(self.run_bar, lambda: self.open_sample(str(self.sample.value)))
+        size_um, in_use = pixel_size_um(layer.scale, layer.units), carried == model
+        if not size_um and self.session.model_chosen:
+            self.use_scale.setText(f"Give it the model's pixel size, {model.acquisition.pixel_size_nm:g} nm")
+            self.use_scale.show()
+        origin = "carries no model: choose one in step Model, the camera in step Camera"
+        if carried is not None:
+            self.use_model.setVisible(not in_use)
+            origin = f"carries a model ({carried.protocol}, {carried.camera.type})" + (", in use" if in_use else "")
+        self.facts.say(movie_facts(layer.name, shape, layer.dtype, size_um, origin))
 
     def _use_scale(self) -> None:
-        from napari_mufasa.files.layers import movie_space
-
         layer = self.session.movie_layer
         if layer is not None and layer.ndim == 3:
             space = movie_space(self.session.model.acquisition.pixel_size_nm)
@@ -138,10 +124,3 @@ class DataPanel(Panel):
         if layer is not None and model_in(layer) is not None:
             self.session.take_model_of_movie()
         self.refresh()
-
-
-def _made(found: list[Any]) -> list[tuple[Any, bool]]:
-    """Layers, not visible, and whether they are to be."""
-    from napari.layers import Layer
-
-    return [(Layer.create(data, o | {"visible": False}, kind), o.get("visible", True)) for data, o, kind in found]

@@ -8,30 +8,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from napari.layers import Layer
+from qtpy.QtWidgets import QWidget
 
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.report.words import headline, in_text
+from napari_mufasa.report.words import detectable_rows, headline, in_text
 from napari_mufasa.widgets.parts.edits import ListEdit
-from napari_mufasa.widgets.parts.forms import step_form
+from napari_mufasa.widgets.parts.effects import Suspects
+from napari_mufasa.widgets.parts.findings import WhatPage, WherePage
+from napari_mufasa.widgets.parts.forms import widget_of
 from napari_mufasa.widgets.parts.layers import ours
-from napari_mufasa.widgets.parts.panel import Panel, Tabs, button, section, wrapped
+from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
+from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, column, section
 from napari_mufasa.widgets.parts.place_layers import PlaceLayers, map_of, molecules_of, simulated_of
 from napari_mufasa.widgets.parts.plot import PlotCanvas
-from napari_mufasa.widgets.parts.suspects import Suspects
-from napari_mufasa.widgets.parts.what_page import DetectablePage, WhatPage
-from napari_mufasa.widgets.parts.where_page import WherePage
-from napari_mufasa.widgets.turns.jobs import guarded
-from napari_mufasa.widgets.turns.session import believed, measurement_of
-from napari_mufasa.widgets.turns.steering import Helm, steered, steering
+from napari_mufasa.widgets.turns.session import believed
+from napari_mufasa.widgets.turns.steering import Helm, steering
 
 if TYPE_CHECKING:
-    from magicgui.widgets import FunctionGui
-    from napari.viewer import Viewer
-
     from napari_mufasa.discover.places import Places
     from napari_mufasa.discover.result import Report
+
+KINDS: dict[str, Any] = {
+    "widget_type": ListEdit, "of": "words", "label": "Suspects", "empty": "all that suit the camera",
+}  # fmt: skip
+ADEQUATE = (
+    "The model is adequate. That does not mean that nothing else is there: this is the smallest strength of each "
+    "effect that this data would have shown in four cases of five."
+)
 
 
 def discover(
@@ -39,56 +45,48 @@ def discover(
     dark: Dark = None,
     dark_frames: DarkFrames = 0,
     model: Believed = None,
-    effects: Annotated[
-        tuple[str, ...] | None,
-        {
-            "widget_type": ListEdit, "of": "words", "label": "Suspects", "empty": "all that suit the camera",
-            "tooltip": "Effects to consider, as triplet_blinking, stage_drift: few are examined sooner",
-        },
-    ] = None,
-    max_effects: Annotated[
-        int,
-        {"label": "Add at most", "min": 0, "max": 10, "tooltip": "Effects that may be added; 0: only look"},
-    ] = 3,
+    effects: Annotated[tuple[str, ...] | None, KINDS] = None,
+    max_effects: Annotated[int, {"label": "Add at most", "min": 0, "max": 10}] = 10,
     seed: Seed = 1,
-) -> list[Layer]:  # fmt: skip
+) -> list[Layer]:
     """Find where the model fails and which physical effects it lacks; add those that the data ask for.
 
-    Returns the completed model's movie beside the measured one, the misfit left in the mean image, and the molecules
-    with theirs in standard deviations. The first one's ``metadata["napari_mufasa"]`` holds the "report" (a `Report`),
-    the "places" and the completed "model"; where nothing may be added also the "investigation" and its "helm".
-    """
-    progress, cancel = steering()
-    measurement = measurement_of(movie, dark, dark_frames).recorded()
-    model, recorded = believed(model, movie), measurement.movie
-    if max_effects:
-        from napari_mufasa.discover import diagnose
-        from napari_mufasa.discover.measurement import prepare
+    Parameters:
+        effects: Effects to consider, as triplet_blinking, stage_drift: few are examined sooner
+        max_effects: Effects that may be added; 0: only look
 
-        report = diagnose(
-            recorded, model, measurement.dark, seed=seed, effects=effects, max_effects=max_effects,
-            progress=progress, cancel=cancel,
+    Returns:
+        The completed model's movie beside the measured one, the misfit left in the mean image, and the molecules with
+        theirs in standard deviations. The first one's ``metadata["napari_mufasa"]`` holds the "report" (a `Report`),
+        the "places", the completed "model", the "investigation" with its "helm", and the "measurement".
+    """
+    from napari_mufasa.discover import Investigation
+    from napari_mufasa.discover.automatic import play
+
+    helm = Helm()
+    measurement, model = measurement_of(movie, dark, dark_frames).recorded(), believed(model, movie)
+    with helm:
+        investigation = Investigation(
+            measurement.movie, model, measurement.dark, seed=seed, effects=effects,
+            progress=helm.progress, cancel=helm.cancel,
         )  # fmt: skip
-        found: dict[str, Any] = {"report": report}
-        places = _places(prepare(recorded, model, measurement.dark), report, recorded.shape[1:], seed)
-    else:
-        helm = Helm()
-        with helm:
-            investigation = _examined(recorded, model, measurement.dark, seed, effects, helm)
+        if max_effects:
+            report = play(investigation, max_effects)
+        else:
+            investigation.examine()
+            investigation.rank()
             report = investigation.report()
-            places = _places(investigation.measurement, report, recorded.shape[1:], seed)
-        found = {"report": report, "investigation": investigation, "helm": helm}
-    name = f"{movie.name}, simulated" + (f" with {_listed(report.chosen)}" if report.chosen else "")
-    first = measurement.first_frame
-    layers: list[Layer] = [simulated_of(places, movie, name, first, found | {"places": places})]
+        places = _places(investigation.measurement, report, measurement.movie.shape[1:], seed)
+    found = {"report": report, "places": places, "investigation": investigation, "helm": helm}
+    name, first = _name(movie.name, report), measurement.first_frame
+    layers: list[Layer] = [simulated_of(places, movie, name, first, found | {"measurement": measurement})]
     layers.append(map_of("light", places, movie, first))
     if len(places.molecules):
         layers.append(molecules_of("brightness", places, movie))
     return layers
 
 
-def discover_widget(viewer: Viewer | None = None, call_button: Any = "Discover") -> FunctionGui[..., Any]:
-    return step_form(discover, viewer, call_button, SEED)
+discover_widget = widget_of(discover, "Discover", SEED)
 
 
 class DiscoverPanel(Panel):
@@ -100,64 +98,55 @@ class DiscoverPanel(Panel):
     hidden = ("dark_frames", "effects", "max_effects")
 
     def build(self) -> None:
-        self.investigation: Any = None
-        self._helm = Helm()
-        self._steps: list[tuple[Report, Places | None]] = []
-        self._name, self._first_frame = "", 0
-        self._examined: Any = lambda: None  # a weak reference to the layer
-        self.report: Report | None = None
-        self.places: Places | None = None
+        self._examined: dict[str, Any] = {}  # what `discover` found, and the layer it is of
+        self._steps: list[tuple[Report, Places | None]] = []  # what is known at first and after each Add
         self.layers = PlaceLayers(self.viewer)
-        self.suspects = Suspects(self.session)
-        self.verdict = wrapped()
-        self.verdict.hide()
-        self.where, self.what, self.unseen = WherePage(self.viewer), WhatPage(), DetectablePage()
+        self.suspects, self.verdict = Suspects(self.session), Words()
+        self.where, self.unseen = WherePage(self.viewer), QWidget()
+        self.what = WhatPage(lambda: self.guarded(self.add_selected), self.undo)
         self.history = PlotCanvas(self.viewer, "The error after each step appears here.", 260)
+        wanted = "Smallest strength of each effect that this data would have shown"
+        self.detectable = RowTable(["Effect", "Would show from"], wanted)
+        column(self.unseen, Words(ADEQUATE), self.detectable, shares=(0, 1))
         self.where.chosen.connect(self._show_place)
-        self.where.in_image.toggled.connect(lambda _on: self._show_place(self.where.selected()))
+        self.where.in_image.toggled.connect(self._show_place)
         self.what.ranking.itemSelectionChanged.connect(self._enable)
-        self.what.add_clicked.connect(self.add_selected)
-        self.what.undo_clicked.connect(self.undo)
         pages = {"Where it fails": self.where, "What is missing": self.what, "Error": self.history}
         self.tabs = Tabs(430, pages | {"What would show": self.unseen})
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), False)
-        self.export_button = button(
-            "Export report and model …", lambda: self.ask_where("Folder for report.json and model.json", self.export),
-            enabled=False,
-        )  # fmt: skip
-        self.add(self.form.native, section("Suspects", self.suspects), self.run_bar, self.verdict)
-        self.column.addWidget(self.tabs, 1)
+        caption = "Folder for report.json and model.json"
+        self.export_button = self.saver("Export report and model …", caption, self.export)
+        self.add(self.form.native, section("Suspects", self.suspects), self.run_bar, self.verdict, last=self.tabs)
         self.add(self.export_button)
         self.run_bar.finished.connect(self._enable)
 
+    @property
+    def report(self) -> Report | None:
+        return self._steps[-1][0] if self._steps else None
+
     # runs -------------------------------------------------------------------------------------------
     def prepare(self) -> None:
-        measurement, movie = self.measurement().recorded(), self.form.movie.value
+        self.measurement().recorded()
+        layer = weakref.ref(self.form.movie.value)
 
         def done(layers: list[Any]) -> Generator[None, None, None]:
             found = ours(layers[0])
-            self.investigation, self._helm = found["investigation"], found["helm"]
-            self._steps = [(found["report"], found["places"])]
-            self._name, self._first_frame, self._examined = (
-                measurement.name,
-                measurement.first_frame,
-                weakref.ref(movie),
-            )
+            self._examined, self._steps = found | {"layer": layer}, []
             yield from self.layers.clear()
-            yield from self._showing(*self._steps[0])
+            yield from self.take((found["report"], found["places"]))
 
         self.call(self.running, done, effects=self.suspects.chosen(), max_effects=0)
 
     def add_selected(self) -> None:
         """Fit the selected effect into the model, see what is still missing."""
-        candidate, investigation, helm = self.what.candidate, self.investigation, self._helm
-        if candidate is None or investigation is None:
-            guarded(self.run_bar, self._complain)
-            return
-        seed, shape_px = self.form.seed.value, self._steps[0][0].model.acquisition.shape_px
+        candidate = self.what.candidate
+        if candidate is None or not self._examined:
+            raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
+        investigation, helm, measurement = (self._examined[name] for name in ("investigation", "helm", "measurement"))
+        seed, shape_px = self.form.seed.value, measurement.movie.shape[1:]
 
-        def work(progress: Any, cancel: Any) -> Any:
-            with steered(progress, cancel), helm:
+        def work() -> Any:
+            with helm:
                 n = len(investigation.chosen)
                 try:
                     investigation.add(candidate)
@@ -176,105 +165,85 @@ class DiscoverPanel(Panel):
         """Back to the report before the last Add."""
         if self.run_bar.running or len(self._steps) < 2:
             return
-        if not self._helm.lock.acquire(blocking=False):
+        if self._examined["helm"].lock.locked():
             self.run_bar.say("The run that was cancelled is still leaving: try again in a moment.")
             return
-        try:
-            self.investigation.undo()
-        finally:
-            self._helm.lock.release()
+        self._examined["investigation"].undo()
         self._steps.pop()
-        self.show_report(*self._steps[-1])
-
-    def _complain(self) -> None:
-        raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
+        self.show_report(*self._steps.pop())
 
     # results ----------------------------------------------------------------------------------------
-    def take(self, found: tuple[Report, Places | None]) -> Generator[None, None, None]:
-        self._steps.append(found)
-        yield from self._showing(*found)
-
     def show_report(self, report: Report, places: Places | None = None) -> None:
-        for _ in self._showing(report, places):
+        for _ in self.take((report, places)):
             pass
 
-    def _showing(self, report: Report, places: Places | None = None) -> Generator[None, None, None]:
+    def take(self, found: tuple[Report, Places | None]) -> Generator[None, None, None]:
         """Everything the panel shows follows from the report and the places; one thing at a time."""
         import pandas as pd
 
-        self.report, self.places = report, places
+        self._steps.append(found)
+        report, _ = found
         line, sentence = headline(report)
-        self.verdict.setText(f"<b>{line}</b><br>{sentence}")
+        self.verdict.say(f"<b>{line}</b><br>{sentence}")
         self.verdict.setToolTip("\n".join(report.notes))
-        self.verdict.show()
-        for page in (self.where, self.what, self.unseen):
-            page.show_report(report)
+        self.where.show_report(report)
+        self.what.show_report(report)
+        self.detectable.fill(detectable_rows(report))
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), bool(report.detectable))
         self.history.draw(drawing("staircase", report), pd.DataFrame(report.history))
         self._enable()
         yield
         # What was found is what is believed from now on.
-        self.session.set_model(report.model, f"fitted to {self._name}")
-        self.session.set_result("report", report)
+        name = self._examined["measurement"].name if self._examined else "a measurement"
+        self.session.set_model(report.model, f"fitted to {name}")
         yield
         self._show_simulated()
         if self.layers.showing:
             yield
-            self._show_place(self.where.selected())
+            self._show_place()
 
     def _enable(self) -> None:
         free = not self.run_bar.running
         self.what.add_button.setEnabled(free and self.what.candidate is not None)
         self.what.undo_button.setEnabled(free and len(self._steps) > 1)
-        self.export_button.setEnabled(self.report is not None)
+        self.export_button.setEnabled(bool(self._steps))
 
-    def _movie(self) -> Any:
-        """The layer that was examined, if it is still there."""
-        layer = self.session.movie_layer
-        return layer if layer is not None and layer is self._examined() else None
+    def _placed(self) -> tuple[Places, Any, int] | None:
+        """The places, the layer that was examined, if it is still there and chosen, and its frame that came first."""
+        layer, places = self.session.movie_layer, self._steps[-1][1] if self._steps else None
+        if not self._examined or places is None or layer is None or layer is not self._examined["layer"]():
+            return None
+        return places, layer, self._examined["measurement"].first_frame
 
-    def _show_place(self, observable: str) -> None:
-        movie = self._movie()
-        if not self.where.in_image.isChecked() or movie is None or self.places is None or not observable:
+    def _show_place(self, *_: Any) -> None:
+        """The place in the image of the observable that is chosen."""
+        placed, observable = self._placed(), self.where.failing.key
+        if placed is None or not observable or not self.where.in_image.isChecked():
             self.layers.hide_place()
-            self.where.say_place("")
-            return
-        self.where.say_place(self.layers.show(observable, self.places, movie, self._first_frame))
+            self.where.place.say("")
+        else:
+            self.where.place.say(self.layers.show_place(observable, *placed))
 
     def _show_simulated(self) -> None:
-        movie = self._movie()
-        if self.report is None or not self.report.chosen or self.places is None or movie is None:
-            self.layers.hide_simulated()
+        placed, report = self._placed(), self.report
+        if placed is None or report is None or not report.chosen:
+            self.layers.remove("simulated")
         elif self.what.simulate_box.isChecked():
-            name = f"{self._name}, simulated with {_listed(self.report.chosen)}"
-            self.layers.show_simulated(self.places, movie, name, self._first_frame)
+            self.layers.show_simulated(*placed, name=_name(placed[1].name, report))
             self.run_bar.say("Left the measured movie, right the completed model's.")
 
     # files ------------------------------------------------------------------------------------------
-    def export(self, folder: str) -> None:
+    def export(self, folder: str) -> str:
         """Write report.json, model.json and the table of observables."""
         from napari_mufasa.files.whole import write_table
 
         if self.report is None:
-            self._complain()
-            return
+            raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
         target = Path(folder)
         self.report.to_json(str(target / "report.json"))
         self.report.model.to_json(target / "model.json")
         write_table(target / "observables.csv", self.report.observables)
-        self.run_bar.say(f"Written: report.json, model.json and observables.csv in {folder}")
-
-
-def _examined(movie: Any, model: Any, dark: Any, seed: int, effects: Any, helm: Helm) -> Any:
-    """An `Investigation` with its ranking, nothing added."""
-    from napari_mufasa.discover import Investigation
-
-    investigation = Investigation(
-        movie, model, dark, seed=seed, effects=effects, progress=helm.progress, cancel=helm.cancel
-    )
-    investigation.examine()
-    investigation.rank()
-    return investigation
+        return f"report.json, model.json and observables.csv in {folder}"
 
 
 def _places(measurement: Any, report: Report, shape_px: Any, seed: int) -> Places:
@@ -285,5 +254,6 @@ def _places(measurement: Any, report: Report, shape_px: Any, seed: int) -> Place
     return find_places(measurement, model, tuple(shape_px), seed=seed, cancel=steering()[1])
 
 
-def _listed(effects: Any) -> str:
-    return " and ".join(in_text(kind) for kind in effects)
+def _name(movie: str, report: Report) -> str:
+    added = " and ".join(in_text(kind) for kind in report.chosen)
+    return f"{movie}, simulated" + (f" with {added}" if added else "")

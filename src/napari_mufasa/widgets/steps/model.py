@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from napari_mufasa.widgets.parts.effects_list import EffectsList
+from napari_mufasa.widgets.parts.effects import EffectsList
+from napari_mufasa.widgets.parts.forms import DerivedValues, PartEditor
 from napari_mufasa.widgets.parts.model_edit import ModelEdit
-from napari_mufasa.widgets.parts.panel import Panel, section
-from napari_mufasa.widgets.parts.part_editor import DerivedValues, PartEditor
+from napari_mufasa.widgets.parts.panel import Panel
+from napari_mufasa.widgets.parts.pieces import section
 from napari_mufasa.widgets.turns.live import LiveLine
 
 PARTS = ("acquisition", "fluorophore", "excitation", "optics", "camera", "sample")
@@ -15,14 +16,12 @@ class ModelPanel(Panel):
     """Sources, effects, all parameters in folding sections, derived values; nothing is run."""
 
     def build(self) -> None:
-        self.source = ModelEdit()
-        self.source.follow(self.session)
+        self.source = ModelEdit(session=self.session)
         self.derived, self.live = DerivedValues(self.session), LiveLine(self.session)
         self.effects = EffectsList(self.session)
         self.parts = {part: PartEditor(self.session, part) for part in PARTS}
         self.run_bar.hide()
         self.add(self.source.native, self.live)
         self.add(section("What follows", self.derived, True), section("Effects", self.effects, True))
-        for part, editor in self.parts.items():
-            self.add(section(part.capitalize(), editor))
+        self.add(*(section(part.capitalize(), editor) for part, editor in self.parts.items()))
         self.column.addStretch(1)

@@ -1,24 +1,23 @@
-"""Simulate: a movie from the believed model, the true positions and, if asked for, the image before the camera."""
+"""Simulate: a movie from the believed model, its true positions as points, and, if asked for, the image before the
+camera."""
 
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from napari.layers import Layer
 
 from napari_mufasa.files.layers import movie_space
-from napari_mufasa.widgets.parts.forms import step_form
+from napari_mufasa.model.presets import preset
+from napari_mufasa.widgets.parts.forms import DerivedValues, PartEditor, widget_of
 from napari_mufasa.widgets.parts.layers import added, movie_layer, points_on
-from napari_mufasa.widgets.parts.panel import Panel, section
+from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import SEED, Believed, Molecules, Seed
-from napari_mufasa.widgets.parts.part_editor import DerivedValues, PartEditor
+from napari_mufasa.widgets.parts.pieces import section
 from napari_mufasa.widgets.turns.steering import steering
 
-if TYPE_CHECKING:
-    from magicgui.widgets import FunctionGui
-    from napari.viewer import Viewer
-
+PARTS = ("acquisition", "sample", "fluorophore", "excitation", "optics", "camera")
 ACQUISITION = ("n_frames", "frame_length_s", "pixel_size_nm", "shape_px")
 
 
@@ -26,20 +25,21 @@ def simulate(
     model: Believed = None,
     molecules: Molecules = None,
     seed: Seed = 1,
-    engine: Annotated[
-        Literal["fast", "exact"],
-        {"label": "Engine", "tooltip": "exact draws every jump of every molecule; fast: the same statistics, sooner"},
-    ] = "fast",
+    engine: Annotated[Literal["fast", "exact"], {"label": "Engine"}] = "fast",
     positions: Annotated[bool, {"label": "also the true positions"}] = True,
     optical: Annotated[bool, {"label": "also the image before the camera (photons)"}] = False,
 ) -> list[Layer]:
     """Simulate a movie: molecules, optics and camera of the model (none: preset FF), effects included.
 
-    Returns, as they lie on each other: the image before the camera, the movie, the true positions.
+    Parameters:
+        molecules: Points to simulate molecules at
+        engine: exact draws every jump of every molecule; fast: the same statistics, sooner
+
+    Returns:
+        As they lie on each other: the image before the camera, the movie, the true positions.
     """
     import pandas as pd
 
-    from napari_mufasa.model.presets import preset
     from napari_mufasa.simulate.movie import simulate as run
 
     progress, cancel = steering()
@@ -50,25 +50,20 @@ def simulate(
     movie = movie_layer(result.movie, name, space, model, seed)
     layers: list[Layer] = [movie]
     if optical:
-        layers.insert(
-            0,
-            movie_layer(
-                result.optical, f"{name}, photons", space, model, seed, ours={"role": "photons"}, visible=False
-            ),
-        )
+        photons = {"ours": {"role": "photons"}, "visible": False}
+        layers.insert(0, movie_layer(result.optical, f"{name}, photons", space, model, seed, **photons))
     if positions:
-        photons = pd.DataFrame({"photons": result.emission[: len(result.positions_px)].sum(axis=1)})
+        emitted = pd.DataFrame({"photons": result.emission[: len(result.positions_px)].sum(axis=1)})
         layers.append(
             points_on(
-                movie, result.positions_px, photons, f"{name}, true positions",
+                movie, result.positions_px, emitted, f"{name}, true positions",
                 size=6, border_width=0.12, face_color="transparent", border_color="#5ec4ff", visible=False,
             )
         )  # fmt: skip
     return layers
 
 
-def simulate_widget(viewer: Viewer | None = None, call_button: Any = "Simulate") -> FunctionGui[..., Any]:
-    return step_form(simulate, viewer, call_button, SEED)
+simulate_widget = widget_of(simulate, "Simulate", SEED)
 
 
 class SimulatePanel(Panel):
@@ -77,10 +72,9 @@ class SimulatePanel(Panel):
     form_factory = simulate_widget
 
     def build(self) -> None:
-        self.parts = {"acquisition": PartEditor(self.session, "acquisition", ACQUISITION)}
-        for part in ("sample", "fluorophore", "excitation", "optics", "camera"):
-            self.parts[part] = PartEditor(self.session, part)
         self.add(self.form.native, self.run_bar)
+        shown = {"acquisition": ACQUISITION}
+        self.parts = {part: PartEditor(self.session, part, shown.get(part)) for part in PARTS}
         for part, editor in self.parts.items():
             self.add(section(part.capitalize(), editor, part in ("acquisition", "sample")))
         self.add(section("What follows", DerivedValues(self.session)))

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Generator, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakSet, ref
 
+from napari.layers import Layer, Points
+from napari.viewer import Viewer
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFrame
-
-if TYPE_CHECKING:
-    from napari.layers import Layer, Points
-    from napari.viewer import Viewer
 
 NAPARI_BELOW = (0, 10)  # not yet looked at
 NEXT_TURN_MS = 5  # less than a run's parts are apart
@@ -58,70 +56,67 @@ def gently(viewer: Viewer) -> Iterator[None]:
     if found is None:
         yield
         return
-    rest = _Rest(found, viewer)
+    controls, waiting = found.controls, list[tuple[Any, QFrame]]()  # events of insertion, with stand-ins for controls
+    known = WeakSet(viewer.layers.selection)  # what others know of
+
+    def stand_in(event: Any) -> None:
+        frame = QFrame()
+        controls.addWidget(frame)
+        controls.widgets[event.value] = frame
+        waiting.append((event, frame))
+
     events, inserted = viewer.layers.selection.events, viewer.layers.events.inserted
     found.window.setUpdatesEnabled(False)
-    inserted.connect(rest.stand_in)
+    inserted.connect(stand_in)
     try:
         with (
-            inserted.blocker(found.controls._add), events.changed.blocker(), events.active.blocker(),
+            inserted.blocker(controls._add), events.changed.blocker(), events.active.blocker(),
             found.current.blocker(),
         ):  # fmt: skip
             yield
     finally:
-        inserted.disconnect(rest.stand_in)
-        rest.in_next_turn()
-
-
-class _Rest:
-    """What is left to do after layers were added; until it is done, empty frames stand in for their controls."""
-
-    def __init__(self, found: Inside, viewer: Viewer) -> None:
+        inserted.disconnect(stand_in)
         # A timer must not keep what is closed.
-        self._window, self._controls, self._layers = ref(found.window), ref(found.controls), ref(viewer.layers)
-        self._told: WeakSet[Any] | None = WeakSet(viewer.layers.selection)  # what others know of; None: all
-        self._waiting: list[tuple[Any, QFrame]] = []  # the event of a layer's insertion, and its stand-in
+        _go_on(ref(found.window), _rest(ref(viewer.layers), known, ref(controls), waiting))
 
-    def stand_in(self, event: Any) -> None:
-        frame, controls = QFrame(), self._controls()
-        if controls is not None:
-            controls.addWidget(frame)
-            controls.widgets[event.value] = frame
-            self._waiting.append((event, frame))
 
-    def in_next_turn(self) -> None:
-        QTimer.singleShot(NEXT_TURN_MS, lambda: self._go_on())  # Qt would hold the method alone weakly
+def _go_on(window: ref[Any], rest: Iterator[None]) -> None:
+    """In the next turn, do the next part of the rest; when there is none, the window is painted again."""
 
-    def _go_on(self) -> None:
-        """The selection, the controls of one layer each turn, then the picture."""
-        window, layers = self._window(), self._layers()
-        if window is None or layers is None:
+    def turn() -> None:
+        found = window()
+        if found is None:
             return
         with contextlib.suppress(RuntimeError):  # closed meanwhile
-            if self._told is not None:
-                self._tell(layers.selection, set(self._told))
-            elif self._waiting:
-                self._replace(*self._waiting.pop(0))
+            nothing_left = next(rest, True)
+            if nothing_left:
+                found.setUpdatesEnabled(True)
             else:
-                window.setUpdatesEnabled(True)
-                return
-            self.in_next_turn()
+                _go_on(window, rest)
 
-    def _tell(self, selection: Any, before: set[Any]) -> None:
-        """The selection's change, in one."""
-        self._told = None
+    QTimer.singleShot(NEXT_TURN_MS, turn)
+
+
+def _rest(layers: ref[Any], known: WeakSet[Any], controls: ref[Any], waiting: list[Any]) -> Generator[None, None, None]:
+    """What is left to do after layers were added: the selection's change, told in one; the controls of one layer each
+    turn, for which empty frames stand in until then."""
+    if (found := layers()) is not None:
+        selection, before, found = found.selection, set(known), None
         selection.events.changed(added=selection - before, removed=before - selection)
         selection.events._current(value=selection._current)
         selection.events.active(value=selection.active)
-
-    def _replace(self, event: Any, frame: QFrame) -> None:
-        controls: Any = self._controls()
-        if controls.widgets.get(event.value) is frame:  # else the layer was taken out meanwhile
-            del controls.widgets[event.value]
-            controls._add(event)
-            controls._populate()
-            controls.removeWidget(frame)
+        del selection, before
+    yield
+    for event, frame in waiting:
+        panel = controls()
+        if panel is not None and panel.widgets.get(event.value) is frame:  # else the layer was taken out meanwhile
+            del panel.widgets[event.value]
+            panel._add(event)
+            panel._populate()
+            panel.removeWidget(frame)
             frame.deleteLater()
+        del panel
+        yield
 
 
 def room_for(viewer: Viewer, shape: tuple[int, ...], scale: Any = None) -> Generator[None, None, None]:

@@ -13,13 +13,15 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from qtpy.QtCore import Qt, QTimer, Signal  # type: ignore[attr-defined]
-from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtCore import QObject, Qt, Signal  # type: ignore[attr-defined]
+from qtpy.QtWidgets import QProgressBar, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.widgets.parts.pieces import Words, button, column, row, timer
 from napari_mufasa.widgets.turns.steering import Cancel, Progress
 
 Work = Callable[[Progress, Cancel], Any]
+Asked = Callable[[Cancel], Any]
 POLL_S = 0.05
 TWENTIETHS = 20  # steps of the progress bars: napari draws its own at each
 BREATH_MS = 15
@@ -33,6 +35,19 @@ class Outcome:
     error: BaseException | None = None
 
 
+def in_thread(name: str, work: Callable[[], Any], tell: Callable[[Outcome], Any]) -> None:
+    """Start `work` in a thread of its own, which then tells how it ended."""
+
+    def run() -> None:
+        try:
+            outcome = Outcome(work())
+        except BaseException as error:  # handed to the interface, which tells the user
+            outcome = Outcome(error=error)
+        tell(outcome)
+
+    threading.Thread(target=run, daemon=True, name=name).start()
+
+
 def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome]:
     """Run `work` in a thread of its own, yield once per twentieth done, return the outcome.
 
@@ -40,15 +55,7 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
     at once: the generator leaves, the work notices at its next look at `stop` and throws its result away.
     """
     news: queue.SimpleQueue[tuple[int, int] | Outcome] = queue.SimpleQueue()
-
-    def run() -> None:
-        try:
-            outcome = Outcome(work(lambda done, total: news.put((done, total)), stop))
-        except BaseException as error:  # handed to the interface, which tells the user
-            outcome = Outcome(error=error)
-        news.put(outcome)
-
-    threading.Thread(target=run, daemon=True, name="mufasa-work").start()
+    in_thread("mufasa-work", lambda: work(lambda done, total: news.put((done, total)), stop), news.put)
     twentieths = 0
     while not stop():
         try:
@@ -78,35 +85,21 @@ class RunBar(QWidget):
 
     def __init__(self, run_label: str, tooltip: str = "", parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.run_button = QPushButton(run_label)
-        self.run_button.setToolTip(tooltip)
-        self.cancel_button = QPushButton("Cancel")
-        self.cancel_button.setToolTip("Stop this run; nothing is kept of it")
+        self.run_button = button(run_label, self.clicked.emit, tooltip)
+        self.cancel_button = button("Cancel", self.cancel, "Stop this run; nothing is kept of it")
         self.bar = QProgressBar()
         self.bar.setTextVisible(False)
         self.bar.setMaximumHeight(6)
-        self.message = QLabel()
-        self.message.setWordWrap(True)
+        self.message = Words()
         self.message.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.run_button, 1)
-        buttons.addWidget(self.cancel_button)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addLayout(buttons)
-        layout.addWidget(self.bar)
-        layout.addWidget(self.message)
-        self.run_button.clicked.connect(self.clicked)
-        self.cancel_button.clicked.connect(self.cancel)
+        buttons = row(self.run_button, self.cancel_button, shares=(1,))
+        column(self, buttons, self.bar, self.message).setSpacing(4)
+        self.say = self.message.say
         self._worker: Any = None
+        self._done: Callable[[Any], Any] = lambda value: None
+        self._outcome = Outcome()
         self._rest: Generator[None, None, None] | None = None  # what `done` still has to do
-        self._breath = QTimer(self)
-        self._breath.setSingleShot(True)
-        self._breath.setInterval(BREATH_MS)
-        self._breath.timeout.connect(self._go_on)
-        self._done: Callable[[Any], Any] | None = None
-        self._outcome: Outcome | None = None
+        self._breath = timer(self, BREATH_MS, self._go_on)
         self._show_running(False)
 
     @property
@@ -125,7 +118,7 @@ class RunBar(QWidget):
             _progress={"total": TWENTIETHS, "desc": title}, _start_thread=False,
         )  # fmt: skip
         box.append(worker)
-        self._worker, self._done, self._outcome = worker, done, None
+        self._worker, self._done, self._outcome = worker, done, Outcome(error=Cancelled())
         worker.yielded.connect(self._on_progress)
         worker.returned.connect(self._on_returned)
         worker.finished.connect(self._on_finished)
@@ -140,12 +133,6 @@ class RunBar(QWidget):
         if self._worker is not None:
             self._worker.quit()
             self.say("Stopping …")
-
-    def say(self, text: str, error: bool = False) -> None:
-        """One line below the buttons."""
-        self.message.setText(text)
-        self.message.setVisible(bool(text))
-        self.message.setStyleSheet("QLabel { color: #e0605e; }" if error else "")
 
     def _show_running(self, running: bool) -> None:
         self.run_button.setEnabled(not running)
@@ -163,47 +150,42 @@ class RunBar(QWidget):
         self._outcome = outcome
 
     def _on_finished(self) -> None:
-        worker, done, outcome = self._worker, self._done, self._outcome
-        self._worker = self._done = self._outcome = None
+        worker, outcome, self._worker = self._worker, self._outcome, None
         with contextlib.suppress(TypeError, RuntimeError):  # already gone with the widget
             self.destroyed.disconnect(worker.quit)
-        if outcome is None or isinstance(outcome.error, Cancelled):
+        if isinstance(outcome.error, Cancelled):
             self.say("Cancelled.")
         elif outcome.error is not None:
             self.say(report_error(outcome.error), error=True)
-        elif done is not None:
+        else:
             self.say("")
-            self._rest = _in_turns(done, outcome.value)
+            self._rest = _in_turns(self._done, outcome.value)
             self._breath.start()  # napari's own end of a run comes first
             return
         self._end()
 
     def _go_on(self) -> None:
         """Do the next part of what follows a run."""
-        rest = self._rest
-        if rest is None:
+        if self._rest is None:
             return
-        going_on = True
+        ended = True
         try:
-            going_on = next(rest, _END) is not _END
+            next(self._rest)
+            ended = False
+        except StopIteration:
+            pass
         except MufasaError as error:
-            going_on = False
             self.say(report_error(error), error=True)
-        except BaseException:
-            self._end()
-            raise
-        if going_on:
-            self._breath.start()
-        else:
-            self._end()
+        finally:
+            if ended:
+                self._end()
+            else:
+                self._breath.start()
 
     def _end(self) -> None:
-        self._rest = None
+        self._rest, self._done, self._outcome = None, lambda value: None, Outcome()  # nothing of a run is kept
         self._show_running(False)
         self.finished.emit()
-
-
-_END = object()
 
 
 def _in_turns(done: Callable[[Any], Any], value: Any) -> Generator[None, None, None]:
@@ -213,12 +195,57 @@ def _in_turns(done: Callable[[Any], Any], value: Any) -> Generator[None, None, N
         yield from parts
 
 
-def guarded(run_bar: RunBar, action: Callable[[], Any]) -> None:
-    """Do something in the interface's thread; a `MufasaError` becomes a notification and a line in the panel."""
-    try:
-        action()
-    except MufasaError as error:
-        run_bar.say(report_error(error), error=True)
+class Latest(QObject):
+    """``request(work)`` runs ``work(cancel)`` in a thread, once no newer request has come for `wait_ms`.
+
+    One work runs at a time. ``arrived(outcome)`` comes in the interface's thread, and only for the newest request:
+    what was overtaken is told to stop by `cancel`, and thrown away if it does not.
+    """
+
+    arrived = Signal(object)
+    _came = Signal(int, object)
+
+    def __init__(self, wait_ms: int, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._number = 0
+        self._work: Asked | None = None
+        self._running = False
+        self._timer = timer(self, wait_ms, self._begin)
+        self._came.connect(self._on_came)
+
+    @property
+    def busy(self) -> bool:
+        """Whether the newest request is still without its answer."""
+        return self._running or self._work is not None
+
+    def request(self, work: Asked) -> None:
+        self.drop()
+        self._work = work
+        self._timer.start()
+
+    def drop(self) -> None:
+        """Forget what was asked for; what is running ends unheard."""
+        self._number += 1
+        self._work = None
+        self._timer.stop()
+
+    def _begin(self) -> None:
+        if self._running or self._work is None:
+            return
+        number, work, self._work, self._running = self._number, self._work, None, True
+
+        def tell(outcome: Outcome) -> None:
+            with contextlib.suppress(RuntimeError):  # the panel is gone
+                self._came.emit(number, outcome)
+
+        in_thread("mufasa-latest", lambda: work(lambda: self._number != number), tell)
+
+    def _on_came(self, number: int, outcome: Outcome) -> None:
+        self._running = False
+        if number == self._number and not isinstance(outcome.error, Cancelled):
+            self.arrived.emit(outcome)
+        elif self._work is not None and not self._timer.isActive():
+            self._begin()
 
 
 def report_error(error: BaseException) -> str:

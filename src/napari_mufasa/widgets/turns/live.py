@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from qtpy.QtCore import QObject, Signal  # type: ignore[attr-defined]
-from qtpy.QtWidgets import QLabel
 
 from napari_mufasa.report.lines import live_line
+from napari_mufasa.widgets.parts.pieces import Words
 from napari_mufasa.widgets.parts.preferences import preference
-from napari_mufasa.widgets.turns.latest import Latest
+from napari_mufasa.widgets.turns.jobs import Latest
 from napari_mufasa.widgets.turns.session import Session
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def live_of(session: Session) -> LiveDistance:
 class LiveDistance(QObject):
     """Follows the session's model and traces; works only while someone looks.
 
-    ``changed`` when `distance`, `words` or `busy` are new.
+    ``changed`` when `distance`, `problem` or `busy` are new.
     """
 
     changed = Signal()
@@ -37,36 +37,27 @@ class LiveDistance(QObject):
         self.session = session
         self.distance: QuickDistance | None = None
         self.problem = ""
-        self._traces: Any = None
-        self._known: Any = None
+        self.lookers: list[Words] = []
+        self._known: Any = None  # what is worked out once for all models, of the traces there are
         self._stale = True
-        self._lookers: list[QLabel] = []
         self._latest = Latest(WAIT_MS, self)
         self._latest.arrived.connect(self._on_arrived)
         session.model_changed.connect(self._on_change)
-        session.result_changed.connect(self._on_result)
-        self._take_traces()
+        session.traces_changed.connect(self._on_traces)
 
     @property
     def busy(self) -> bool:
         return self._latest.busy
 
-    def join(self, looker: QLabel) -> None:
-        self._lookers.append(looker)
-        looker.destroyed.connect(lambda: self._lookers.remove(looker) if looker in self._lookers else None)
-
     def refresh(self) -> None:
         """Work out the distance if it is not known and someone looks."""
-        if not preference("picture.live_distance"):
-            return
-        if not self._stale or not any(looker.isVisible() for looker in self._lookers):
+        watched = preference("picture.live_distance") and any(looker.isVisible() for looker in self.lookers)
+        if not self._stale or not watched:
             return
         self._stale = False
-        if self._traces is None:
-            self.distance = None
-            self.changed.emit()
+        traces, model, known = self.session.traces, self.session.model, self._known
+        if traces is None:
             return
-        traces, model, known = self._traces, self.session.model, self._known
 
         def work(cancel: Any) -> QuickDistance:
             from napari_mufasa.compare.quick import quick_distance
@@ -76,33 +67,13 @@ class LiveDistance(QObject):
         self._latest.request(work)
         self.changed.emit()
 
-    def words(self) -> str:
-        """The distance in a line."""
-        if not preference("picture.live_distance"):
-            return ""
-        if self._traces is None:
-            return NOT_YET
-        if self.problem:
-            return f"Distance to the measurement: {self.problem}"
-        if self.distance is None:
-            return "Distance to the measurement: …"
-        return live_line(self.distance.w1, self.distance.floor, self.busy)
-
     def _on_change(self) -> None:
         self._stale = True
         self.refresh()
 
-    def _on_result(self, name: str) -> None:
-        if name in ("traces", "comparison"):
-            self._take_traces(name)
-            self._on_change()
-
-    def _take_traces(self, newest: str = "traces") -> None:
-        traces = self.session.results.get("traces")
-        comparison = self.session.results.get("comparison")
-        compared = comparison.measured if comparison is not None else None
-        self._traces = (compared or traces) if newest == "comparison" else (traces or compared)
+    def _on_traces(self) -> None:
         self._known = None
+        self._on_change()
 
     def _on_arrived(self, outcome: Any) -> None:
         self.problem = "" if outcome.error is None else str(outcome.error)
@@ -112,19 +83,19 @@ class LiveDistance(QObject):
         self.changed.emit()
 
 
-class LiveLine(QLabel):
+class LiveLine(Words):
     """The distance as a line of text."""
 
     def __init__(self, session: Session) -> None:
-        super().__init__()
-        self.live = live_of(session)
-        self.setWordWrap(True)
+        super().__init__(NOT_YET)
         self.setToolTip(
             "From about 64 simulated molecules and some frames of the movie, for the eye while a value is changed. "
             "Step Compare gives the number to quote."
         )
-        self.live.join(self)
-        self.live.changed.connect(self.show_words)
+        live = self.live = live_of(session)
+        live.lookers.append(self)
+        self.destroyed.connect(lambda: live.lookers.remove(self) if self in live.lookers else None)
+        live.changed.connect(self.show_words)
         self.show_words()
 
     def showEvent(self, event: Any) -> None:
@@ -132,4 +103,12 @@ class LiveLine(QLabel):
         self.live.refresh()
 
     def show_words(self) -> None:
-        self.setText(self.live.words())
+        live = self.live
+        if not preference("picture.live_distance"):
+            self.clear()
+        elif live.session.traces is None:
+            self.setText(NOT_YET)
+        elif live.problem or live.distance is None:
+            self.setText(f"Distance to the measurement: {live.problem or '…'}")
+        else:
+            self.setText(live_line(live.distance.w1, live.distance.floor, live.busy))

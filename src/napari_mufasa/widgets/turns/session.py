@@ -6,63 +6,21 @@ Every panel works alone; a value set in one is the value of all others, because 
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
-import numpy as np
+from napari.layers import Image, Layer
+from napari.viewer import Viewer
 from qtpy.QtCore import QObject, Signal  # type: ignore[attr-defined]
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.movies import METADATA_KEY
+from napari_mufasa.files.layers import Measurement, measurement_of, stored
+from napari_mufasa.model.model import Model
+from napari_mufasa.model.presets import preset
+from napari_mufasa.model.setup import Camera
 
 if TYPE_CHECKING:
-    from napari.layers import Image, Layer
-    from napari.viewer import Viewer
-
-    from napari_mufasa.model.model import Model
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """What was recorded: `movie` and `dark` (frame, y, x) as stored in the layers, possibly lazy; `name` for titles.
-
-    `unit` is "adu" for what a camera recorded, "photons" for a movie that was denoised. `first_frame` is the layer's
-    frame that `movie` begins with: dark frames before it are cut off.
-    """
-
-    movie: Any
-    dark: Any
-    name: str
-    unit: Literal["adu", "photons"] = "adu"
-    first_frame: int = 0
-
-    def recorded(self) -> Measurement:
-        """Itself; raises `MufasaError` when it is not what a camera recorded."""
-        if self.unit != "adu":
-            raise MufasaError(f"{self.name} holds photons, not camera counts: choose the recorded movie in step Data")
-        return self
-
-
-def measurement_of(movie: Image | None, dark: Image | None = None, dark_frames: int = 0) -> Measurement:
-    """What layers hold as a measurement; raises `MufasaError` that says what to choose.
-
-    dark : a layer of dark frames; dark_frames : or how many frames of the movie are dark, at its beginning
-    """
-    if movie is None:
-        raise MufasaError("no movie chosen: open one, or File > Open Sample > MUFASA, then choose it in step Data")
-    stack, frames, first = stack_of(movie), None, 0
-    if dark is not None:
-        frames = stack_of(dark)
-    elif dark_frames:
-        first = dark_frames
-        if first >= len(stack):
-            raise MufasaError(
-                f"the first {first} frames are called dark, but {movie.name} has {len(stack)}: give fewer dark frames"
-            )
-        stack, frames = stack[first:], stack[:first]
-    unit: Literal["adu", "photons"] = "photons" if stored(movie, "role") == "photons" else "adu"
-    return Measurement(stack, frames, movie.name, unit, first)
+    from napari_mufasa.traces import TraceSet
 
 
 def believed(model: Model | None, movie: Image | None = None) -> Model:
@@ -79,7 +37,7 @@ class Session(QObject):
 
     model_changed = Signal()
     movie_changed = Signal()
-    result_changed = Signal(str)
+    traces_changed = Signal()
 
     def __init__(self, viewer: Viewer | None = None) -> None:
         super().__init__()
@@ -88,10 +46,9 @@ class Session(QObject):
         self._model: Model | None = None
         self.model_origin = ""
         self.model_chosen = False  # whether anyone said which model is believed
-        self._movie: weakref.ref[Image] | None = None
-        self._dark: weakref.ref[Image] | None = None
+        self._layers: dict[str, weakref.ref[Image]] = {}
         self.dark_frames = 0
-        self.results: dict[str, Any] = {}
+        self.traces: TraceSet | None = None  # the last ones read of a movie
 
     @property
     def viewer(self) -> Viewer:
@@ -105,8 +62,6 @@ class Session(QObject):
     def model(self) -> Model:
         """The believed model; the FF preset until one is chosen."""
         if self._model is None:
-            from napari_mufasa.model.presets import preset
-
             self._model, self.model_origin = preset("FF"), "preset FF"
         return self._model
 
@@ -114,10 +69,13 @@ class Session(QObject):
         self.model_chosen = True
         if origin is not None:
             self.model_origin = origin
-        if self._model is not None and model == self._model and origin is None:
+        elif model == self._model:
             return
         self._model = model
         self.model_changed.emit()
+
+    def set_camera(self, camera: Camera, origin: str | None = None) -> None:
+        self.set_model(self.model.model_copy(update={"camera": camera}), origin)
 
     def forget_model(self) -> None:
         """As if none had been chosen."""
@@ -133,29 +91,25 @@ class Session(QObject):
     # the measurement ------------------------------------------------------------------------------
     @property
     def movie_layer(self) -> Image | None:
-        return self._alive(self._movie)
+        return self._layer("movie")
 
     @property
     def dark_layer(self) -> Image | None:
-        return self._alive(self._dark)
+        return self._layer("dark")
 
     def set_movie(self, layer: Image | None) -> None:
-        if layer is self.movie_layer and layer is not None:
+        if layer is not None and layer is self.movie_layer:
             return
-        self._movie = weakref.ref(layer) if layer is not None else None
-        dark = self.viewer.layers[name] if (name := stored(layer, "dark_layer")) in self.viewer.layers else None
-        if dark is not None:
-            self._dark = weakref.ref(dark)
-        elif (
-            layer is not None
-            and self.dark_layer is not None
-            and self.dark_layer.data.shape[-2:] != layer.data.shape[-2:]
-        ):
-            self._dark = None  # another movie's dark frames
+        self._keep("movie", layer)
+        layers, dark = self.viewer.layers, self.dark_layer
+        if (name := stored(layer, "dark_layer")) in layers:
+            self._keep("dark", layers[name])
+        elif layer is not None and dark is not None and dark.data.shape[-2:] != layer.data.shape[-2:]:
+            self._keep("dark", None)  # another movie's
         self.movie_changed.emit()
 
     def set_dark(self, layer: Image | None) -> None:
-        self._dark = weakref.ref(layer) if layer is not None else None
+        self._keep("dark", layer)
         self.movie_changed.emit()
 
     def set_dark_frames(self, n: int) -> None:
@@ -166,12 +120,18 @@ class Session(QObject):
         """Movie and dark frames as chosen; raises `MufasaError` that says what to choose."""
         return measurement_of(self.movie_layer, self.dark_layer, self.dark_frames)
 
-    def set_result(self, name: str, value: Any) -> None:
-        self.results[name] = value
-        self.result_changed.emit(name)
+    def set_traces(self, traces: TraceSet) -> None:
+        self.traces = traces
+        self.traces_changed.emit()
 
-    def _alive(self, reference: weakref.ref[Image] | None) -> Image | None:
-        layer = reference() if reference is not None else None
+    def _keep(self, name: str, layer: Image | None) -> None:
+        self._layers.pop(name, None)
+        if layer is not None:
+            self._layers[name] = weakref.ref(layer)
+
+    def _layer(self, name: str) -> Image | None:
+        """The layer chosen, unless it was taken out of the viewer."""
+        layer = self._layers[name]() if name in self._layers else None
         return layer if layer is not None and layer in self.viewer.layers else None
 
 
@@ -192,28 +152,8 @@ def session_of(viewer: Viewer) -> Session:
     return _SESSIONS[viewer]
 
 
-def stack_of(layer: Image) -> Any:
-    """The layer's data as (frame, y, x), never copied; raises `MufasaError` when it is no movie."""
-    data = layer.data
-    if getattr(layer, "multiscale", False):
-        data = data[0]
-    if getattr(layer, "rgb", False) or data.ndim not in (2, 3):
-        raise MufasaError(
-            f"layer {layer.name} has shape {tuple(data.shape)}: a movie is (frame, y, x); choose another layer"
-        )
-    return data if data.ndim == 3 else data[np.newaxis]
-
-
-def stored(layer: Layer | None, key: str) -> Any:
-    """What the layer's metadata say of us: `model`, `seed`, `role` ("dark frames", "photons" …), `dark_layer`."""
-    ours = layer.metadata.get(METADATA_KEY) if layer is not None else None
-    return ours.get(key) if isinstance(ours, dict) else None
-
-
 def model_in(layer: Layer) -> Model | None:
     """The model that travelled in the layer's metadata, if any."""
-    from napari_mufasa.model.model import Model
-
     model = stored(layer, "model")
     if model is None:
         return None

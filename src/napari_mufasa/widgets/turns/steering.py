@@ -13,16 +13,7 @@ from contextvars import ContextVar
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
 
-
-def _nothing(done: int, total: int) -> None:
-    pass
-
-
-def _never() -> bool:
-    return False
-
-
-_RUN: ContextVar[tuple[Progress, Cancel]] = ContextVar("run", default=(_nothing, _never))
+_RUN: ContextVar[tuple[Progress, Cancel]] = ContextVar("run", default=(lambda done, total: None, lambda: False))
 
 
 @contextmanager
@@ -47,7 +38,7 @@ class Helm:
     """
 
     def __init__(self) -> None:
-        self._run: tuple[Progress, Cancel] = (_nothing, _never)
+        self._run = steering()
         self.lock = threading.Lock()
 
     def __enter__(self) -> None:

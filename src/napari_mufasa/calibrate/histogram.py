@@ -1,0 +1,231 @@
+"""Histograms of counts about their pixels' own means, the law fitted to them by likelihood, and the test of its fit.
+
+Counts are taken about the mean of a few frames of their own pixel, and the law says what that does to them: neither
+the pixels' patterns nor slow changes of the light are in the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.calibrate.law import Law, below
+from napari_mufasa.calibrate.value import NORMAL, Value
+
+Array = NDArray[np.float64]
+BLOCK = 8  # frames whose mean is taken off: short enough for slow changes, long enough to keep the law's shape
+GROUPS = 10  # of pixels of like mean
+MOST = 250_000  # counts that are looked at: more would tell pixels apart that differ by a per mille
+LEAST_EXPECTED = 10.0  # counts in a bin of the test
+FREE = ("adu_per_electron", "excess_noise_factor", "read_noise_adu", "charge_e")
+OFFSET = {"excess_noise_factor": 1.0}  # fitted as the logarithm of what is above
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """Counts about their means, by groups of pixels: `level_adu` (group,) mean counts + ½ (−∞: no light), `edges`
+    (group, edge), `seen` (group, edge + 1) how many lie below, between and above; `n_mean` frames are in a mean. Pixels
+    of a group differ in level by `spread_adu` (group,) rms."""
+
+    level_adu: Array
+    spread_adu: Array
+    edges: Array
+    seen: Array
+    n_mean: int
+
+    def expected(self, law: Law, baseline_adu: float) -> Array:
+        """How many the law puts there (group, edge + 1)."""
+        rows = []
+        for level, spread, edges, seen in zip(self.level_adu, self.spread_adu, self.edges, self.seen, strict=True):
+            signal = level - baseline_adu - law.charge_e * law.adu_per_electron
+            # Two levels have the mean and the spread of all.
+            signals = (signal - spread, signal + spread) if spread > 0 else (signal,)
+            share = np.mean([below(law, max(one, 0.0), edges, self.n_mean) for one in signals], axis=0)
+            rows.append(np.diff(np.concatenate([[0.0], share, [1.0]])) * seen.sum())
+        return np.asarray(np.maximum(np.array(rows), 1e-9))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A law fitted to a histogram.
+
+    Attributes
+    ----------
+    law, values : the law, and its fitted numbers with intervals (widened by the misfit, where there is one)
+    p_value : chance of a misfit as large where the law is right
+    distance : half the sum of |seen − expected| as a share of all: the part of the counts that the law puts elsewhere
+    histogram, baseline_adu : what it was fitted to
+    """
+
+    name: str
+    law: Law
+    values: dict[str, Value]
+    p_value: float
+    distance: float
+    histogram: Histogram
+    baseline_adu: float
+
+    @property
+    def expected(self) -> Array:
+        return self.histogram.expected(self.law, self.baseline_adu)
+
+
+def of_dark(dark: Array) -> Histogram:
+    """Of frames without light (frame, y, x), each pixel about its mean over all of them; (frame,) offsets are off."""
+    n = len(dark)
+    values = dark.reshape(n, -1)
+    about = (values - values.mean(axis=0)).ravel()
+    return _histogram([about], [-np.inf], [0.0], n, tail=True)
+
+
+def of_light(chunks: Sequence[NDArray[np.float32]], pixels: NDArray[np.bool_]) -> Histogram | None:
+    """Of lit frames within `pixels` (y, x), about the mean of `BLOCK` frames; None where there are too few."""
+    blocks = []
+    for chunk in chunks:
+        n = len(chunk) // BLOCK * BLOCK
+        if n == 0:
+            continue
+        values = chunk[:n, pixels]
+        values = values - values.mean(axis=1, keepdims=True) + values.mean(dtype=np.float64).astype(np.float32)
+        blocks.append(values.reshape(n // BLOCK, BLOCK, -1))
+    stack = np.concatenate(blocks) if blocks else np.empty((0, BLOCK, 0))
+    if len(stack) < 2 or stack.shape[2] < 9:
+        return None
+    means = stack.mean(axis=1, dtype=np.float64)
+    # A group is chosen by the other half's means: its own noise must not choose it.
+    halves = [means[half::2].mean(axis=0) for half in (0, 1)]
+    own = (halves[0] - halves[1]).std() / np.sqrt(2)
+    real = np.sqrt(max(np.cov(halves[0], halves[1])[0, 1], 0.0))
+    n_groups = GROUPS if real > own and stack.shape[2] >= 60 * GROUPS else 1
+    abouts: list[Any] = []
+    levels: list[Any] = []
+    spreads: list[Any] = []
+    step = max(1, stack.size // MOST)
+    for half in (0, 1):
+        order = np.argsort(halves[1 - half], kind="stable")
+        for g, members in enumerate(np.array_split(order, n_groups)):
+            some = members[::step] if len(members) >= 9 * step else members
+            part = stack[half::2][:, :, some]
+            quarters = [means[half + 2 * q :: 4, some].mean(axis=0) for q in (0, 1)] if len(means) > 3 else halves
+            spreads.append(float(np.sqrt(max(np.cov(*quarters)[0, 1], 0.0))) if n_groups > 1 else 0.0)
+            about = (part - part.mean(axis=1, keepdims=True, dtype=np.float64)).ravel()
+            if half == 0:
+                abouts.append([about])
+                levels.append([part.mean(dtype=np.float64) + 0.5])
+            else:
+                abouts[g].append(about)
+                levels[g].append(part.mean(dtype=np.float64) + 0.5)
+    level = [float(np.mean(level)) for level in levels]
+    spread = np.mean(np.reshape(spreads, (2, n_groups)), axis=0)
+    return _histogram([np.concatenate(a) for a in abouts], level, list(spread), BLOCK)
+
+
+def _histogram(
+    abouts: Sequence[Array], levels: Sequence[float], spreads: Sequence[float], n_mean: int, tail: bool = False
+) -> Histogram:
+    rng = np.random.default_rng(0)
+    edges, seen = [], []
+    for about in abouts:
+        # Whole counts about almost the same mean would lie on a lattice, and bins hold one point of it or two.
+        about = about + rng.uniform(-0.5, 0.5, len(about))
+        low, middle, high = np.percentile(about, [15.87, 50, 84.13])
+        sd = max((high - low) / 2, 0.5)
+        scale = np.concatenate([np.linspace(-3.6, 5.2, 45), [6.0, 7.0]])
+        if tail:  # one spurious electron reaches far beyond the read noise
+            scale = np.concatenate([scale, np.geomspace(8.0, 150.0, 16)])
+        edges.append(middle + scale * sd)
+        cells = np.searchsorted(edges[-1], about, side="right")
+        seen.append(np.bincount(cells, minlength=len(scale) + 1))
+    return Histogram(np.array(levels), np.array(spreads), np.array(edges), np.array(seen, dtype=float), n_mean)
+
+
+def fit(
+    name: str, histogram: Histogram, law: Law, free: Sequence[str], baseline_adu: float, baseline_slope_adu: float = 0.0
+) -> Fit:
+    """The law of most likelihood, with the numbers named in `free` fitted, starting from `law`.
+
+    baseline_slope_adu : where only the variance at no signal is known, the baseline moves with the read noise assumed:
+        baseline_adu + read_noise_adu² / baseline_slope_adu (0: it is known).
+    """
+    from scipy import optimize
+
+    def made(point: Array) -> tuple[Law, float]:
+        given: dict[str, Any] = {
+            n: OFFSET.get(n, 0.0) + float(np.exp(np.clip(p, -16, 16))) for n, p in zip(free, point, strict=True)
+        }
+        found = replace(law, **given)
+        moved = found.read_noise_adu**2 / baseline_slope_adu if baseline_slope_adu else 0.0
+        return found, baseline_adu + moved
+
+    def surprise(point: Array) -> float:
+        expected = histogram.expected(*made(point))
+        return -float(np.sum(histogram.seen * np.log(expected / histogram.seen.sum(axis=1, keepdims=True))))
+
+    start = np.log([max(getattr(law, n) - OFFSET.get(n, 0.0), 1e-4) for n in free])
+    if len(free):
+        simplex = np.vstack([start, start + 0.3 * np.eye(len(free))])
+        options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-3, "maxiter": 200 * len(free)}
+        start = optimize.minimize(surprise, start, method="Nelder-Mead", options=options).x
+    found, base = made(start)
+    p_value, distance, excess = _misfit(histogram, histogram.expected(found, base), len(free))
+    values = {}
+    if len(free):
+        spread = np.sqrt(excess) * _spread(surprise, start)
+        for n, p, sd in zip(free, start, spread, strict=True):
+            shift, size = OFFSET.get(n, 0.0), float(np.exp(p))
+            reach = float(np.exp(min(NORMAL * sd, 8.0)))
+            values[n] = Value(shift + size, size * float(min(sd, 8.0)), shift + size / reach, shift + size * reach)
+    return Fit(name, found, values, p_value, distance, histogram, base)
+
+
+def _spread(surprise: Any, point: Array) -> Array:
+    """Standard errors by the curvature of −log likelihood at its least."""
+    n, step = len(point), 0.02
+    curvature = np.empty((n, n))
+    unit = np.eye(n) * step
+    middle = surprise(point)
+    for i in range(n):
+        for j in range(i, n):
+            if i == j:
+                second = surprise(point + unit[i]) - 2 * middle + surprise(point - unit[i])
+            else:
+                ways = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+                second = sum(a * b * surprise(point + a * unit[i] + b * unit[j]) for a, b in ways) / 4
+            curvature[i, j] = curvature[j, i] = second / step**2
+    eigen, vectors = np.linalg.eigh(curvature)
+    covariance = vectors @ np.diag(1 / np.maximum(eigen, 1e-3)) @ vectors.T
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def _misfit(histogram: Histogram, expected: Array, n_fitted: int) -> tuple[float, float, float]:
+    """p-value, distance, and how many times larger than chance the misfit is (1 at least)."""
+    from scipy import stats
+
+    total, dof = 0.0, -n_fitted
+    for seen, law in zip(histogram.seen, expected, strict=True):
+        cells = _merged(law)
+        s, e = np.bincount(cells, seen), np.bincount(cells, law)
+        total += float(np.sum((s - e) ** 2 / e))
+        dof += len(e) - 2  # the sum, and the mean, which was taken off
+    distance = float(np.abs(histogram.seen - expected).sum() / histogram.seen.sum() / 2)
+    if dof < 1:
+        return 1.0, distance, 1.0
+    return float(stats.chi2.sf(total, dof)), distance, max(1.0, total / dof)
+
+
+def _merged(expected: Array) -> NDArray[np.int64]:
+    """The number of the cell that each bin goes to, so that each cell expects enough."""
+    cells = np.zeros(len(expected), dtype=np.int64)
+    cell, held = 0, 0.0
+    for i, number in enumerate(expected):
+        cells[i] = cell
+        held += number
+        if held >= LEAST_EXPECTED:
+            cell, held = cell + 1, 0.0
+    if held < LEAST_EXPECTED and cell > 0:  # what is left goes to the cell before
+        cells[cells == cell] = cell - 1
+    return cells

@@ -1,0 +1,76 @@
+"""The law of a pixel's counts: Poisson electrons, a register that multiplies each by a Gamma number, normal read noise,
+a row that mixes neighbours, rounding (docs/camera.md). Shares of a histogram by the characteristic function, exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+POINTS = 2**13
+
+
+@dataclass(frozen=True)
+class Law:
+    """What makes the noise of a pixel.
+
+    Attributes
+    ----------
+    adu_per_electron : mean response to a photoelectron
+    excess_noise_factor : F² of the multiplication; 1: none
+    read_noise_adu : rms of the normal part
+    charge_e : electrons per pixel and frame that come without light
+    weights : what a pixel reads of its own signal and of the ones before it, summing to 1
+    """
+
+    adu_per_electron: float
+    excess_noise_factor: float
+    read_noise_adu: float
+    charge_e: float = 0.0
+    weights: tuple[float, ...] = (1.0,)
+
+    def variance(self, signal_adu: float) -> float:
+        power = float(np.sum(np.square(self.weights)))
+        light = signal_adu + self.charge_e * self.adu_per_electron
+        return self.excess_noise_factor * self.adu_per_electron * light * power + self.read_noise_adu**2 + 1 / 12
+
+    def log_characteristic(self, t: Array, signal_adu: float) -> NDArray[np.complex128]:
+        """Of a count about its mean, at t in 1/ADU."""
+        electrons = signal_adu / self.adu_per_electron + self.charge_e
+        result = (-0.5 * self.read_noise_adu**2) * t**2 + np.log(np.sinc(t / (2 * np.pi)) ** 2 + 1e-300) / 2 + 0j
+        for weight in self.weights:
+            one = self.adu_per_electron * weight * t
+            result += electrons * (_multiplied(one, self.excess_noise_factor) - 1 - 1j * one)
+        return np.asarray(result, np.complex128)
+
+
+def _multiplied(t: Array, excess: float) -> NDArray[np.complex128]:
+    """Characteristic function of an electron's multiplication, of mean 1 and mean square `excess`."""
+    if excess <= 1 + 1e-6:
+        return np.asarray(np.exp(1j * t))
+    shape = 1 / (excess - 1)
+    return np.asarray((1 - 1j * t / shape) ** -shape)
+
+
+def below(law: Law, signal_adu: float, edges: Array, n_mean: int = 0) -> Array:
+    """Share of counts, less their mean, that lie below each of the edges (edge,), which ascend.
+
+    n_mean : counts are taken about the mean of so many frames of their own pixel, themselves one of them; 0: about the
+        true mean. A random part of a count (even, rms 1/√12) is added to them.
+    """
+    reach = 1.2 * max(abs(edges[0]), abs(edges[-1])) + 8 * np.sqrt(law.variance(signal_adu))
+    step = 2 * reach / POINTS
+    t = 2 * np.pi * np.fft.rfftfreq(POINTS, step)
+    if n_mean > 1:
+        log = law.log_characteristic(t * (1 - 1 / n_mean), signal_adu)
+        log += (n_mean - 1) * law.log_characteristic(-t / n_mean, signal_adu)
+    else:
+        log = law.log_characteristic(t, signal_adu)
+    density = np.fft.irfft(np.conj(np.exp(log)) * np.sinc(t / (2 * np.pi)), POINTS) / step
+    density = np.fft.fftshift(density)
+    x = (np.arange(POINTS) - POINTS // 2) * step
+    total = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2) * step])
+    return np.asarray(np.interp(edges, x, total / total[-1]))

@@ -1,0 +1,104 @@
+"""How neighbours are correlated: what the read-out mixes along a row, told from what the sample does everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.calibrate.value import Value
+from napari_mufasa.camera.readout import row_kernel
+
+Array = NDArray[np.float64]
+LAGS = 4
+SURE = 3.5  # standard errors from which on a lag is believed
+
+
+@dataclass(frozen=True)
+class Correlations:
+    """Of neighbours' noise at lags 1 … `LAGS`, each (lag,): along a row, along a column; `sd` of each, and the variance
+    (of a pixel in a frame, ADU²) that they are relative to."""
+
+    row: Array
+    column: Array
+    sd: float
+    variance: float
+
+    @property
+    def kernel(self) -> Array:
+        """What rows have of correlation and columns have not: the read-out's, (lag,), up to the last sure one."""
+        own = self.row - self.column
+        sure = np.abs(own) > SURE * np.sqrt(2) * self.sd
+        n = int(np.max(np.nonzero(sure)[0], initial=-1)) + 1
+        return own[:n]
+
+
+def correlations(differences: NDArray[Any], pixels: NDArray[np.bool_] | None, terms: tuple[float, ...]) -> Correlations:
+    """Of differences of frames (frame, y, x) without pattern, within `pixels` (y, x).
+
+    terms : the weights of the frames in a difference, (1, −2, 1) or (1,): how many are independent follows from them.
+    """
+    n_frames = len(differences)
+    mask = np.ones(differences.shape[1:], dtype=bool) if pixels is None else pixels
+    values = np.where(mask, differences, 0.0).astype(np.float32)
+    variance = float(np.sum(np.square(values, dtype=np.float64)) / (mask.sum() * n_frames))
+
+    def along(axis: int) -> Array:
+        found = []
+        for lag in range(1, LAGS + 1):
+            if values.shape[axis] <= lag:
+                found.append(0.0)
+                continue
+            n = values.shape[axis]
+            one, other = (np.take(values, range(lo, n - lag + lo), axis) for lo in (0, lag))
+            pairs = int(np.sum(np.take(mask, range(n - lag), axis - 1) & np.take(mask, range(lag, n), axis - 1)))
+            total = float(np.einsum("fyx,fyx->", one, other, dtype=np.float64))
+            found.append(total / max(pairs * n_frames, 1) / variance if variance > 0 else 0.0)
+        return np.array(found)
+
+    weights = np.array(terms)
+    own = np.correlate(weights, weights, "full") / np.sum(weights**2)
+    independent = mask.sum() * n_frames / np.sum(own**2)
+    row, column = along(2), along(1)
+    # Neighbours that are correlated make the products of their neighbours alike, too.
+    sd = float(np.sqrt((1 + 2 * np.sum(row**2)) / max(independent, 1.0)))
+    return Correlations(row, column, sd, variance / float(np.sum(weights**2)))
+
+
+def of_light(lit: Correlations, dark: Correlations | None, read_variance: float) -> Array:
+    """Correlations (lag,) that the read-out gives the light: those of lit pixels without the read noise's share, whose
+    own are the dark ones (without dark frames: the same)."""
+    found = np.zeros(LAGS)
+    kernel = lit.kernel
+    found[: len(kernel)] = kernel
+    if dark is None or read_variance <= 0 or (not len(kernel) and not len(dark.kernel)):
+        return found
+    own = np.zeros(LAGS)
+    own[: len(dark.kernel)] = dark.kernel
+    light = max(lit.variance - read_variance, 1e-9)
+    found = (found * lit.variance - own * read_variance) / light
+    found[np.abs(found) < SURE * np.sqrt(2) * lit.sd * lit.variance / light] = 0.0
+    return found
+
+
+def shares_of(correlations: Array, sd: float) -> tuple[Value, ...]:
+    """The shares of `kernel_of` with what the errors of the correlations, `sd` each, make of theirs."""
+    centre = np.array(kernel_of(correlations))
+    errors = np.zeros(len(centre))
+    for lag in range(len(centre)):
+        moved = correlations.copy()
+        moved[lag] += sd
+        other = np.array(kernel_of(moved))
+        errors[: len(other)] += (other[: len(centre)] - centre[: len(other)]) ** 2
+    return tuple(Value(float(share), float(np.sqrt(error))) for share, error in zip(centre, errors, strict=True))
+
+
+def kernel_of(correlations: Array) -> tuple[float, ...]:
+    """The shares of the pixels before, (lag,), that correlate noise so; () where there are none."""
+    n = int(np.max(np.nonzero(correlations)[0], initial=-1)) + 1
+    if n == 0:
+        return ()
+    shares = row_kernel(np.asarray(correlations[:n]))[1:]
+    return tuple(round(float(share), 5) for share in np.clip(shares, -0.99, 0.99))

@@ -1,0 +1,98 @@
+"""Counts as they are read for a measurement of the camera, and which of them are dark."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.errors import Cancelled, MufasaError
+
+CHUNKS = 10  # parts of the movie whose spread gives uncertainties
+CHUNK_FRAMES = 16  # in each at least
+CHUNK_BYTES = 2**25  # of each at most, as float32
+DARK_SHARE = 0.05  # of the field that must lie in shadow to be used
+DARK_BLOCK_PX = 8
+DARK_CONTRAST = 8.0  # lit over shadow, in spreads of the shadow's blocks
+
+
+def counts(data: Any, what: str) -> NDArray[Any]:
+    """Raw counts; raises `MufasaError` for what no camera records."""
+    found: NDArray[Any] = np.asarray(data)
+    if found.dtype.kind not in "uif" or not np.isfinite(found).all() or (found.size and found.min() < 0):
+        raise MufasaError(f"{what} hold values that are negative or no numbers: give the raw counts (ADU)")
+    return found
+
+
+def lit_chunks(
+    movie: Any, first: int, progress: Callable[[int, int], None] | None, cancel: Callable[[], bool] | None
+) -> list[NDArray[np.float32]]:
+    """Up to `CHUNKS` runs of frames (frame, y, x) spread over the movie from frame `first` on."""
+    n_chunks = min(CHUNKS, max(1, (movie.shape[0] - first) // CHUNK_FRAMES))
+    edges = np.linspace(first, movie.shape[0], n_chunks + 1).astype(int)
+    most = max(8, CHUNK_BYTES // (4 * movie.shape[1] * movie.shape[2]))
+    found = []
+    for i, (start, stop) in enumerate(itertools.pairwise(edges)):
+        if cancel is not None and cancel():
+            raise Cancelled
+        chunk = counts(movie[start : min(stop, start + most)], "the movie's frames").astype(np.float32)
+        if len(chunk) >= 4:
+            found.append(chunk)
+        if progress is not None:
+            progress(i + 1, len(edges) - 1)
+    if not found:
+        raise MufasaError("fewer than 4 lit frames: record more frames under light")
+    return found
+
+
+def leading_dark_frames(movie: Any) -> int:
+    """How many frames at the beginning are dark: before a sudden, lasting rise of the mean; 0 if none."""
+    n = int(movie.shape[0])
+    step = max(1, int(np.sqrt(movie.shape[1] * movie.shape[2] / 4096)))
+    level = np.array([float(np.mean(np.asarray(movie[i])[::step, ::step])) for i in range(min(n, 500))])
+    if len(level) < 8:
+        return 0
+    jumps = np.diff(level)
+    at = int(np.argmax(jumps))
+    before, after = level[: at + 1], level[at + 1 :]
+    if len(before) < 3 or len(after) < 3:
+        return 0
+    usual = max(float(np.std(before)), 1e-9)
+    # The first lit frame may be lit in part; the dark ones are alike and all below all lit ones.
+    return at + 1 if before.max() + 10 * usual < after.min() else 0
+
+
+def shadow(chunks: list[NDArray[np.float32]]) -> NDArray[np.bool_] | None:
+    """(y, x) True where a part of the chip, from an edge on, gets no light: level, and far below the rest. None: no
+    such part. A dim, even background looks the same here: whoever uses it must look at its histogram too."""
+    from scipy import ndimage
+    from skimage import filters
+
+    mean = np.mean([chunk.mean(axis=0) for chunk in chunks], axis=0)
+    b = DARK_BLOCK_PX
+    if min(mean.shape) < 4 * b:
+        return None
+    blocks = mean[: mean.shape[0] // b * b, : mean.shape[1] // b * b]
+    blocks = np.median(blocks.reshape(len(blocks) // b, b, -1, b), axis=(1, 3))
+    otsu: Any = filters.threshold_otsu  # its functions carry no types
+    low = blocks < otsu(blocks)
+    names, _ = ndimage.label(low)
+    sizes = np.bincount(names.ravel())[1:]
+    if len(sizes) == 0:
+        return None
+    largest = names == 1 + int(np.argmax(sizes))
+    inner = ndimage.binary_erosion(largest, border_value=1)  # the block beside the light is half lit
+    if inner.mean() < DARK_SHARE or not (inner[0].all() or inner[-1].all() or inner[:, 0].all() or inner[:, -1].all()):
+        return None
+    for _ in range(8):  # a dim rim on one side must not count as dark: its level and spread are those of the lower half
+        level, below = np.percentile(blocks[inner], [50, 15.87])
+        spread = float(level - below) + 1e-3 * float(level)
+        inner &= blocks < level + 2.5 * spread
+    if inner.mean() < DARK_SHARE or float(np.median(blocks[~largest])) - level < DARK_CONTRAST * spread:
+        return None
+    found = np.zeros(mean.shape, dtype=bool)
+    found[: inner.shape[0] * b, : inner.shape[1] * b] = np.kron(inner, np.ones((b, b), dtype=bool))
+    return found

@@ -1,0 +1,113 @@
+"""The read-out: what amplifier and converter make of a row, a frame and a code, and what of it can be undone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, signal
+
+if TYPE_CHECKING:
+    from napari_mufasa.chance.streams import Streams
+    from napari_mufasa.model.setup import Camera
+
+Array = NDArray[np.float64]
+Stack = NDArray[np.float32]  # (frame, y, x)
+
+
+def signal_weights(camera: Camera) -> Array:
+    """What a pixel reads of itself and of those before it in its row, (lag,), summing to 1: light keeps its mean."""
+    weights = np.array([1.0, *camera.readout_kernel])
+    return np.asarray(weights / weights.sum())
+
+
+def noise_weights(camera: Camera) -> Array:
+    """The same of the read noise, (lag,), of power 1: read noise keeps the rms that dark frames show."""
+    weights = np.array([1.0, *camera.read_noise_kernel])
+    return np.asarray(weights / np.sqrt(np.sum(weights**2)))
+
+
+def without_readout(camera: Camera) -> Camera:
+    """The camera for values that do not stand in rows and frames as they were read out."""
+    plain = {"readout_kernel": (), "read_noise_kernel": (), "baseline_alternation_adu": 0.0, "baseline_jitter_adu": 0.0}
+    return camera.model_copy(update=plain)
+
+
+def along_rows(electrons: Stack, weights: Array) -> Stack:
+    """Each pixel as the weighted sum of itself and of those before it in its row (x − 1, x − 2 …), which continue level
+    before the first one."""
+    mixed: Stack = ndimage.convolve1d(electrons, weights, axis=-1, mode="nearest", origin=-(len(weights) // 2))
+    return mixed
+
+
+def undone_along_rows(mixed: Stack, weights: Array) -> Stack:
+    """What `along_rows` was given; weights sum to 1 and have their zeros within the unit circle (`Camera`)."""
+    lead = signal.lfilter_zi([1.0], weights) * mixed[..., :1].astype(np.float64)
+    found, _ = signal.lfilter([1.0], weights, mixed, axis=-1, zi=lead)
+    return np.asarray(found, np.float32)
+
+
+def undone_noise_power(camera: Camera) -> float:
+    """By what factor undoing the kernel of the signal changes the variance of the read noise; 1 without kernels."""
+    return float(np.sum(_undone_noise(camera) ** 2))
+
+
+def undone_noise_correlation(camera: Camera, lags: int = 4) -> Array:
+    """Correlations along a row of the read noise once the signal's kernel is undone, lags 1 … (lag,)."""
+    response = _undone_noise(camera)
+    products = np.array([np.sum(response[lag:] * response[: len(response) - lag]) for lag in range(lags + 1)])
+    found: Array = products[1:] / products[0]
+    return found
+
+
+def _undone_noise(camera: Camera) -> Array:
+    impulse = np.zeros(256)
+    weights = noise_weights(camera)
+    impulse[: len(weights)] = weights
+    response: Array = signal.lfilter([1.0], signal_weights(camera), impulse)
+    return response
+
+
+def row_kernel(correlations: Array) -> Array:
+    """The weights of a pixel and of those before it (lag,), first 1, that correlate even noise as given: correlations
+    along a row at lags 1, 2 … (lag − 1,), as dark frames show them; farther lags are taken as none.
+
+    Of all such kernels the one of least delay (by the cepstrum). Correlations that no noise can have are brought down
+    to what it can have.
+    """
+    n = 64 * (len(correlations) + 1)
+    power = 1 + 2 * np.cos(2 * np.pi * np.outer(np.arange(n) / n, np.arange(1, len(correlations) + 1))) @ correlations
+    cepstrum = np.fft.ifft(np.log(np.maximum(power, 1e-3))).real
+    cepstrum[1 : n // 2] *= 2
+    cepstrum[n // 2 + 1 :] = 0
+    weights = np.fft.ifft(np.exp(np.fft.fft(cepstrum) / 2)).real[: len(correlations) + 1]
+    return np.asarray(weights / weights[0], np.float64)
+
+
+def frame_offsets_adu(camera: Camera, frames: NDArray[np.int64], streams: Streams | None = None) -> Array:
+    """(frame,) what each frame's baseline has more than the camera's; the jitter only with `streams` to draw it from:
+    it cannot be known of a recorded frame."""
+    offsets = np.asarray(camera.baseline_alternation_adu * (1.0 - 2.0 * (np.asarray(frames) % 2)), np.float64)
+    if streams is not None and camera.baseline_jitter_adu > 0:
+        draws = (streams.of("camera baseline", int(f)).standard_normal() for f in frames)
+        offsets += camera.baseline_jitter_adu * np.fromiter(draws, np.float64, len(frames))
+    return offsets
+
+
+def code_begins(pattern: Any, unevenness: float | None = None) -> Array:
+    """Where the codes of one period begin, in ADU (period,). They lie about the even ones such that a count is right
+    on average.
+
+    pattern : the codes' widths in any unit; with `unevenness` only their pattern counts, made to have mean 0 and rms 1:
+        widths are then 1 + unevenness × the pattern.
+    """
+    widths = np.asarray(pattern, dtype=np.float64)
+    if unevenness is not None:
+        widths = widths - widths.mean()
+        widths = widths / max(float(np.sqrt(np.mean(widths**2))), 1e-12)
+        widths = np.maximum(1 + unevenness * widths, 0.0)
+    widths = widths * (len(widths) / widths.sum())
+    begins = np.concatenate([[0.0], np.cumsum(widths)[:-1]])
+    result: Array = begins - np.mean(begins - np.arange(len(begins)))
+    return result

@@ -1,0 +1,156 @@
+"""Verbs that measure an instrument and propose what to believe: calibrate, propose."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from napari_mufasa.cli import console
+from napari_mufasa.cli.options import CameraName, DarkFile, MovieFile, Overwrite
+
+if TYPE_CHECKING:
+    from napari_mufasa.calibrate.found import Calibration
+    from napari_mufasa.calibrate.value import Value
+
+Gain = Annotated[float | None, typer.Option("--em-gain", min=1, metavar="G", help="If known.")]
+PerAdu = Annotated[float | None, typer.Option("--electrons-per-adu", min=1e-6, metavar="E", help="If known.")]
+Efficiency = Annotated[float, typer.Option("--quantum-efficiency", min=0.01, max=1, metavar="QE")]
+ReportFile = Annotated[
+    Path | None, typer.Option("--report", metavar="JSON", help="Also write all values with their intervals.")
+]
+
+
+def calibrate(
+    movie: MovieFile,
+    out: Annotated[Path, typer.Option("--out", metavar="camera.json", help="The camera part of a model.json.")],
+    dark: DarkFile = None,
+    camera_type: Annotated[CameraName, typer.Option("--type", help="Of the camera.")] = "EMCCD",
+    em_gain: Gain = None,
+    electrons_per_adu: PerAdu = None,
+    baseline_adu: Annotated[
+        float | None, typer.Option("--baseline-adu", min=0, metavar="B", help="If known, instead of dark frames.")
+    ] = None,
+    quantum_efficiency: Efficiency = 0.9,
+    report: ReportFile = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="PNG", help="Also draw the laws against the histograms.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure the camera from a movie and its dark frames: numbers with 95 % intervals and a test of fit."""
+    from napari_mufasa import files
+    from napari_mufasa.calibrate.measure import calibrate as measure
+    from napari_mufasa.files.instrument import read_instrument
+
+    for path in (out, report, figure):
+        if path is not None:
+            console.check_file_out(path, overwrite)
+            console.check_not_read(path, movie, dark)
+    recorded = files.read_movie(movie).data
+    background = None if dark is None else files.load(dark)
+    written = read_instrument(movie)
+    with console.working("calibrating") as work:
+        found = measure(
+            recorded, background, camera_type=camera_type, em_gain=em_gain or written.register_gain,
+            electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu,
+            **work.both(),
+        )  # fmt: skip
+    section = found.camera.model_dump(mode="json", exclude_none=True)
+    if found.camera.type != "CMOS":
+        section.pop("cmos_gain_curve")
+    files.write_json(out, section)
+    console.tell_origin(out, None, (movie, dark))
+    if report is not None:
+        files.write_json(report, found.report() | {"metadata": written.known()})
+    if figure is not None:
+        from napari_mufasa.report.figures import calibration_drawing
+
+        files.whole.write_bytes(figure, calibration_drawing(found).render("light"))
+    console.print_table(("measured", "value [95 %]"), _rows(found))
+    for fit in found.fits:
+        typer.echo(f"test of fit, {fit.name}: {100 * fit.distance:.2g} % of the counts lie elsewhere than the law says")
+    verdict = "the law holds" if found.law_holds else "the law is not all there is"
+    typer.echo(f"test of fit, all: p = {found.p_value:.2g}: {verdict}")
+    if written.known():
+        typer.echo("metadata: " + ", ".join(f"{name} {value}" for name, value in written.known().items()))
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+    typer.echo(f"{out}: the camera part of a model.json")
+
+
+def propose(
+    movie: MovieFile,
+    out: Annotated[Path, typer.Option("--out", metavar="model.json", help="The model to start from.")],
+    dark: DarkFile = None,
+    camera_type: Annotated[CameraName | None, typer.Option("--type", help="Of the camera, if known.")] = None,
+    em_gain: Gain = None,
+    electrons_per_adu: PerAdu = None,
+    quantum_efficiency: Efficiency = 0.9,
+    pixel_size_nm: Annotated[
+        float | None, typer.Option("--pixel-size-nm", min=1e-3, metavar="NM", help="If known.")
+    ] = None,
+    frame_length_s: Annotated[
+        float | None, typer.Option("--frame-length-s", min=1e-9, metavar="S", help="If known.")
+    ] = None,
+    report: ReportFile = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Propose a first model: metadata, camera, spots and traces, and what could not be known."""
+    from napari_mufasa import files
+    from napari_mufasa.files.instrument import read_instrument
+    from napari_mufasa.propose import propose_model
+
+    for path in (out, report):
+        if path is not None:
+            console.check_file_out(path, overwrite)
+            console.check_not_read(path, movie, dark)
+    recorded = files.read_movie(movie).data
+    background = None if dark is None else files.load(dark)
+    with console.working("proposing") as work:
+        found = propose_model(
+            recorded, background, instrument=read_instrument(movie), camera_type=camera_type, em_gain=em_gain,
+            electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, pixel_size_nm=pixel_size_nm,
+            frame_length_s=frame_length_s, **work.both(),
+        )  # fmt: skip
+    found.model.to_json(out)
+    console.tell_origin(out, None, (movie, dark))
+    if report is not None:
+        files.write_json(report, found.report())
+    console.print_table(("proposed", "value [95 %]"), [(name, _measured(v)) for name, v in found.values.items()])
+    for name, words in found.unknown.items():
+        typer.echo(f"unknown: {name}: {words}")
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+    typer.echo(f"{out}: a model to start from")
+
+
+def _rows(found: Calibration) -> list[tuple[str, str]]:
+    readout = found.readout
+    values = {
+        "baseline (ADU)": found.baseline_adu, "read noise (ADU)": found.read_noise_adu,
+        "ADU per photoelectron": found.adu_per_photoelectron, "electrons per ADU": found.electrons_per_adu,
+        "EM gain": found.em_gain, "excess noise factor": found.excess_noise_measured,
+        "clock-induced charge (e/px/frame)": found.clock_induced_charge_e,
+        "baseline, even and odd frames ± (ADU)": readout.alternation_adu,
+        "baseline, jitter (ADU)": readout.jitter_adu,
+    }  # fmt: skip
+    rows = [(name, _measured(value)) for name, value in values.items()]
+    rows += [(f"read-out, share of pixel x − {lag}", _measured(v)) for lag, v in enumerate(readout.shares, 1)]
+    seen = {"row": readout.row_correlations, "column": readout.column_correlations}
+    seen |= {"row, spots included": readout.correlations_everywhere}
+    if readout.dark_row_correlations is not None:
+        seen |= {"row, dark": readout.dark_row_correlations}
+    return rows + [(f"neighbours, {name}", " ".join(f"{c:+.3f}" for c in row[:3])) for name, row in seen.items()]
+
+
+def _measured(found: Value) -> str:
+    if not math.isfinite(found.value):
+        return "unknown"
+    low, high = found.interval
+    return f"{found.value:.4g} [{low:.4g}, {high:.4g}]" if math.isfinite(low) else f"{found.value:.4g} (given)"
+
+
+VERBS = (calibrate, propose)

@@ -1,0 +1,103 @@
+"""All free values of a model fitted together, every step simulated.
+
+Far from a measurement a model is not linear in its values, and what they promise there is not to be had: derivatives
+are taken anew at every step, a step is shortened until simulations of where it leads confirm it, and at the end the
+neighbourhood is simulated anew. Prior widths of the values, which are about where they stand, are the region of trust.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.discover import library as neighbourhood
+from napari_mufasa.discover import nuisance
+from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
+from napari_mufasa.discover.library import Library
+from napari_mufasa.discover.rules import DESCENTS
+from napari_mufasa.discover.state import State
+from napari_mufasa.model.model import Model
+
+Array = NDArray[np.float64]
+TRIALS = 4  # simulations that tell which of two models is nearer
+SHARES = (1.0, 0.5, 0.25)  # how much of a step downhill is tried
+NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
+REMOVALS = 6  # simulations of a model without one of its effects
+
+
+def settled(library: Library, state: State, x: Array, kinds: Sequence[str], most: int) -> Library:
+    """The neighbourhood of the state's model once all its free values are brought to the measurement x (part,
+    observable) together; rays are those of `kinds` that it lacks. About `most` simulations are spent, at least those
+    of the neighbourhood."""
+    model = state.model_at(state.adjusted(x).moves)
+    if state.far_off(x):
+        model = nearer(library, state, model, x)
+    added = [effect.kind for effect in model.effects if effect.kind in kinds]
+    others = [kind for kind in kinds if kind not in added]
+    left = most - neighbourhood.expected_simulations(others, len(state.free), model)
+    model = descended(library, state, model, x, left)
+    return neighbourhood.build(library.bench, model, others, added, state.values)
+
+
+def settling_simulations(library: Library, kinds: Sequence[str], n_free: int, model: Model) -> int:
+    """How many simulations `settled` makes at most, `kinds` lacking."""
+    step = SLOPE_SEEDS * n_free + TRIALS * len(SHARES)
+    again = library.bench.matching_simulations + 2 * TRIALS
+    return again + TRIALS + DESCENTS * step + neighbourhood.expected_simulations(kinds, n_free, model)
+
+
+def nearer(library: Library, state: State, model: Model, x: Array) -> Model:
+    """The model, or the same with its nuisance values matched again: whichever a few simulations put nearer to the
+    measurement x. Hidden effects can lead the first match astray: a pattern of the sensor passes for dim molecules.
+
+    Either keeps within reach of the first match. Where much is wrong, matching has no end of its own: spots that equal
+    molecules cannot make are looked for in ever more of them, until they merge."""
+    found = [nuisance.kept(m, state.values) for m in (model, library.bench.matched(model))]
+    return min(found, key=lambda candidate: _seen(library, state, candidate).misfit(x))
+
+
+def descended(library: Library, state: State, model: Model, x: Array, most: int) -> Model:
+    """The model with its free values moved downhill towards the measurement x, derivatives taken anew at every step,
+    as far as simulations of where the step leads confirm it; of simulations about `most` are spent."""
+    before = library.bench.done
+    here = _seen(library, state, model)
+    for _ in range(DESCENTS):
+        if library.bench.done - before + SLOPE_SEEDS * len(here.free) > most:
+            break
+        steps = free_steps(here.model, here.values, here.free)
+        slopes = derivatives(library.simulated, here.model_at, steps, here.check)
+        moves = replace(here, slopes=slopes).adjusted(x).moves
+        for share in SHARES:
+            there = _seen(library, here, here.model_at(share * moves))
+            closer = _unmoved(there, x) < NEARER * _unmoved(here, x)
+            if closer:
+                break
+        if not closer:
+            break
+        here = there
+    return here.model
+
+
+def removed(library: Library, *kinds: str) -> State:
+    """The model that the library is about without some of its effects, its mean simulated, its free values where they
+    are: how they would make up for it follows from their slopes."""
+    state = library.base
+    for kind in kinds:
+        state = state.without(kind)
+    rows = library.simulated([(state.model, k) for k in range(REMOVALS)])
+    return replace(state, mean=state.mean + (rows - library.rows[:REMOVALS]).mean(axis=0))
+
+
+def _seen(library: Library, state: State, model: Model) -> State:
+    """The state with the model in its place, its mean by a few simulations."""
+    rows = library.simulated([(model, k) for k in range(TRIALS)])
+    shift = (rows - library.rows[:TRIALS]).mean(axis=0)
+    return replace(state, model=model, mean=library.base.mean + shift, check=rows)
+
+
+def _unmoved(state: State, x: Array) -> float:
+    """The misfit of the model as it is."""
+    return replace(state, slopes=np.zeros_like(state.slopes)).misfit(x)

@@ -1,0 +1,36 @@
+"""Every number that a diagnosis decides by, in one place.
+
+Three things are given: how often chance may be taken for an effect (the false-alarm budget), how much of a measurement
+is worth explaining, and how many simulations may be spent. Everything else a diagnosis goes by (spreads, correlations,
+floors, the laws of chance) comes from its own simulations.
+"""
+
+from __future__ import annotations
+
+# The false-alarm budget -------------------------------------------------------------------------------------
+ALARM = 0.02  # when nothing is missing, some effect stands out from chance so often
+MISFIT_ALARM = 0.01  # … and the misfit as a whole
+FURTHER = 0.01  # each effect beside another must be worth more than what chance gives the best one so often
+STILL_OFF = 0.001  # … and what an explanation leaves is called unexplained beyond this chance
+CONTENT = 0.05  # a fit that leaves a misfit which chance exceeds more often than this is left as it is
+
+# What is worth explaining -----------------------------------------------------------------------------------
+AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
+FAR_OFF = 2.5  # above so many floors what a model promises of its neighbourhood is not to be had
+FAR = 1.35  # an error above so many floors is not explained, however far it fell …
+EXPLAINED = 0.6  # … nor is one of which less than this share went away
+OFF = 3.0  # an observable farther off than so many standard deviations is failing
+PLAIN = 15.0  # −2 log likelihood by which another form must be better than the plain one (noise of judging: about 5)
+NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
+BESIDE = 0.4  # of the best lead's evidence: what stands out less waits until that one is in the model
+FORM_FIRST = 0.1  # of the misfit explained so far: leads that promise less wait until the forms of what is in the model
+# have been tried, for what they leave is also the error of their form
+RIVAL = 0.5  # of what an effect is worth: what would explain so much of it in its place is tried there
+SHAPE = 0.03  # of the evidence of all others: an effect that moves what they moved must be worth so much more, for
+# what they leave is also the error of their form
+
+# The budget of simulations ----------------------------------------------------------------------------------
+BUDGET = 4_000  # simulations of a movie of ordinary size …
+BUDGET_VALUES = 16_000_000_000  # … and pixels times frames of all simulations together, whichever is less
+AT_ONCE = 4  # effects taken up together
+DESCENTS = 4  # steps downhill, each with derivatives of its own

@@ -1,0 +1,167 @@
+"""Where an investigation stands: a model, its simulated neighbourhood, and what each added effect is worth there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.discover import joint
+from napari_mufasa.discover.coordinates import Coordinate
+from napari_mufasa.discover.library import Library
+from napari_mufasa.discover.null import Null
+from napari_mufasa.discover.rules import ALARM, AT_ONCE, BESIDE, CONTENT, FURTHER, MISFIT_ALARM, SHAPE
+from napari_mufasa.discover.state import Lead, State
+
+Array = NDArray[np.float64]
+SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
+WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
+FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What an added effect is worth to the model it is in: by how much the misfit rises without it (its evidence),
+    the held-out error then, the evidence it needs to stay, and the rivals that would explain about as much in its
+    place, with how much more misfit they leave."""
+
+    evidence: float
+    error_without: float
+    needed: float
+    rivals: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def is_some(self) -> bool:
+        return self.evidence > self.needed
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A model with the effects added so far (`added`, in order), seen from its own neighbourhood.
+
+    x (part, observable) : the measurement · null : what chance does in the model believed · first : its mean and spread
+    """
+
+    library: Library
+    added: tuple[str, ...]
+    x: Array
+    null: Null
+    first: State
+    confirmed: tuple[tuple[str, Worth], ...] = ()  # what taking an effect out, everything fitted anew, has shown
+
+    @property
+    def state(self) -> State:
+        return self.library.base
+
+    @cached_property
+    def error(self) -> float:
+        """Held-out error."""
+        return self.state.held_out_error(self.x)
+
+    @cached_property
+    def misfit(self) -> float:
+        return self.state.misfit(self.x)
+
+    @cached_property
+    def content(self) -> bool:
+        """Is the error at its floor, and no more misfit left than chance leaves?"""
+        return self.state.at_floor(self.x) and self.null.misfit.p(self.misfit) > CONTENT
+
+    @property
+    def needed(self) -> float:
+        """The evidence that an effect must promise. A further one is tried from where the usual chance ends: what it is
+        worth is judged by fits, and by freaks of chance, too."""
+        evidence = self.null.evidence
+        return float(evidence.law.isf(FURTHER)) if self.added else evidence.at(ALARM)
+
+    @cached_property
+    def leads(self) -> dict[str, list[Lead]]:
+        """What every effect not yet in the model promises in each of its forms, by the emulator; best first."""
+        return dict(sorted(self.state.screen(self.x, self.library.rays).items(), key=lambda item: -item[1][0].gain))
+
+    @property
+    def alarmed(self) -> bool:
+        """Is the model inadequate beyond chance?"""
+        by_effect = any(forms[0].gain > self.needed for forms in self.leads.values())
+        return by_effect or self.null.misfit.p(self.misfit) < MISFIT_ALARM
+
+    def promising(self, but: set[str]) -> list[list[Lead]]:
+        """The effects that explain the misfit together, each beside those before it: their forms, the best first."""
+        found: list[list[Lead]] = []
+        rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in but}
+        while rays and len(found) < AT_ONCE:
+            leads = self.state.screen(self.x, rays, [forms[0] for forms in found])
+            kind = max(leads, key=lambda k: leads[k][0].gain)
+            least = max(self.needed, BESIDE * found[0][0].gain if found else 0.0)
+            if leads[kind][0].gain <= least:
+                break
+            found.append(leads[kind])
+            del rays[kind]
+        return found
+
+    @cached_property
+    def worths(self) -> dict[str, Worth]:
+        """What each of the added effects is worth, by simulations without it."""
+        known = dict(self.confirmed)
+        if len(self.added) == 1 and not known:  # the model without it is the one believed
+            alone = self.first.score(self.x) - self.state.score(self.x)
+            return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.evidence.at(ALARM))}
+        states = {kind: joint.removed(self.library, kind) for kind in self.added}
+        evidence = {kind: state.misfit(self.x) - self.misfit for kind, state in states.items()}
+        found = {}
+        for kind, state in states.items():
+            others = sum(max(e, 0.0) for k, e in evidence.items() if k != kind)
+            needed = max(self.null.evidence.at(FURTHER), self._shared(state) * SHAPE * others)
+            found[kind] = known.get(kind) or Worth(evidence[kind], state.held_out_error(self.x), needed)
+        return found
+
+    def _shared(self, without: State) -> float:
+        """How much of what an effect moves the others have moved without it, 0 … 1."""
+        spread = self.state.spread[0]
+        moves = np.square((self.state.mean - without.mean)[0] / spread)
+        moved = (without.mean - self.first.mean)[0] / self.first.spread[0]
+        return float((moves * moved**2 / (1.0 + moved**2)).sum() / max(moves.sum(), 1e-9))
+
+    def is_worth(self, worth: Worth) -> bool:
+        """Does an effect earn its place: enough evidence, and a lower held-out error?
+
+        Where that is at its floor no effect can lower it much, and sure evidence will do if the error does not rise.
+        """
+        if not worth.is_some:
+            return False
+        sure = worth.evidence > max(self.null.evidence.at(SURE), worth.needed) and self.state.at_floor(self.x)
+        return self.error < worth.error_without * (NOT_RISEN if sure else 1.0)
+
+    def confirming(self, kind: str, worth: Worth) -> Stand:
+        """The same stand with what is known of one effect."""
+        confirmed = tuple((k, w) for k, w in self.confirmed if k != kind)
+        return replace(self, confirmed=(*confirmed, (kind, worth)))
+
+    @cached_property
+    def birge(self) -> float:
+        """How much wider uncertainties are for misfit that is left: the model is not quite what was measured."""
+        usual = float(np.median([self.state.misfit(row) for row in self.library.base.check]))
+        return float(max(1.0, self.misfit / usual) ** 0.5)
+
+    def uncertainties(self) -> dict[str, dict[str, float]]:
+        """Standard deviations of the free parameters of each added effect: how much fits of simulations of the model
+        scatter, at least what the linear theory says, and that of the finite number of simulations."""
+        state = self.state
+        n = len(state.values)
+        prior = np.concatenate([state.prior[:n], np.full(len(state.free) - n, WIDE)])
+        loose = replace(state, prior=prior)
+        scatter = np.std([loose.adjusted(row).moves for row in (*self.library.rows, *state.check)], axis=0, ddof=1)
+        slope = state.whiten[0] @ (state.slopes[0] / state.spread[0][:, None])
+        linear = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope + np.diag(1 / prior**2))))
+        widths = np.maximum(scatter, linear) * self.birge
+        effects = {effect.kind: effect for effect in state.model.effects}
+        found: dict[str, dict[str, float]] = {kind: {} for kind in self.added}
+        for path, sd in zip(state.free[n:], widths[n:], strict=True):
+            kind, name = path.rsplit(".", 1)
+            coordinate = next(c for c in Coordinate.of(effects[kind], state.model) if c.name == name)
+            finite = FINITE * abs(float(getattr(effects[kind], name)))
+            found[kind][name] = float(np.hypot(coordinate.sd(effects[kind], float(sd)), finite))
+        return found

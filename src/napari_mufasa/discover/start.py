@@ -1,0 +1,137 @@
+"""From a lead to a start: the form, shape and strength from which an effect is fitted, by a few simulations each.
+
+The emulator proposes: what rays promise is checked by simulations. A few shapes are tried, then a ladder of strengths
+finds the right decade; a handful of paired simulations around it give the local mean and slopes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.discover.coordinates import Coordinate, changed
+from napari_mufasa.discover.derivatives import trusted
+from napari_mufasa.discover.library import Library
+from napari_mufasa.discover.rules import PLAIN
+from napari_mufasa.discover.state import Lead, Ray, State, scaled
+from napari_mufasa.effects import Effect
+
+Array = NDArray[np.float64]
+LADDER = 2.2  # factor between the strengths tried first
+SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
+AROUND, WIDTH = 9, 0.45  # simulations around a start, and how far (log units or quarters of the range)
+LOOSE = 2.5  # prior width of an effect's parameters in spreads of the simulations around it
+PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
+FORM_WORTH = 0.2  # of the best form's evidence: another form is tried
+SIMULATIONS = 40  # that a start makes, about
+
+
+def started(library: Library, state: State, leads: Sequence[Lead], x: Array) -> State:
+    """The state with an effect beside the others, in the best of its promising forms, where it explains most of the
+    measurement x (part, observable). `leads`: what its forms promise, the best first."""
+    best, *others = leads
+    worth = [best, *(lead for lead in others if lead.gain > FORM_WORTH * best.gain or lead.may_be_stronger)]
+    seen = library.bench.read_off(best.ray.effect.kind)
+    starts = [changed(lead.start(), seen) for lead in worth]
+    plain = type(starts[0])().chosen
+    found = [begun(library, state, starts, x)]
+    plain_starts = [start for start in starts if start.chosen == plain]
+    if plain_starts and found[0].model.effects[-1].chosen != plain:
+        found.append(begun(library, state, plain_starts, x))
+    return min(found, key=lambda s: s.misfit(x) - PLAIN * (s.model.effects[-1].chosen == plain))
+
+
+def begun(library: Library, state: State, starts: Sequence[Effect], x: Array) -> State:
+    """The state with the best of `starts` (one effect in different forms) beside its effects, at its best shape and
+    strength, free in both but for what the measurement shows of it directly."""
+    seen = set(library.bench.read_off(starts[0].kind))
+    effect = _climbed(library, state, _best_shape(library, state, starts, seen, x), x)
+    coordinates = [c for c in Coordinate.of(effect, state.model) if c.name not in seen]
+    free = (*state.free, *(f"{effect.kind}.{c.name}" for c in coordinates))
+    local = replace(state, model=library.beside(state, effect), free=free)
+    return _linearised(library, state, local, coordinates)
+
+
+def _best_shape(library: Library, state: State, starts: Sequence[Effect], known: set[str], x: Array) -> Effect:
+    """What explains most: one of `starts`, or one of them in a few shapes across the plausible range of each shape
+    parameter that is not `known`; each parameter is varied once."""
+    trials, start = list(starts), starts[0]
+    plausible, known = type(start).plausible(state.model), known | {start.strength}
+    for trial in starts:
+        new = [c.name for c in Coordinate.of(trial, state.model) if c.name not in known]
+        known = known.union(new)
+        for name in new:
+            low, high, log = plausible[name]
+            for u in SHAPES:
+                value = low * (high / low) ** u if log else low + (high - low) * u
+                trials.append(changed(trial, {name: value}))
+    if len(trials) == 1:
+        return start
+    rows = library.simulated([(library.beside(state, trial), k) for k, trial in enumerate(trials)])
+    shift = rows - library.rows[: len(trials)]
+    reached = state.mean - library.base.mean  # by the effects that are in the model already
+    none = start.none_at(state.model)
+    rays = [Ray(trial, change - reached, none) for trial, change in zip(trials, shift, strict=True)]
+    return state.screen(x, {start.kind: rays})[start.kind][0].start()
+
+
+def _climbed(library: Library, state: State, start: Effect, x: Array) -> Effect:
+    """`start` at the best of a ladder of strengths, each simulated once; it grows while its end is best."""
+    none = start.none_at(state.model)
+
+    def misfits(factors: list[float]) -> dict[float, float]:
+        rows = library.simulated([(library.beside(state, scaled(start, f, none)), k) for k, f in enumerate(factors)])
+        shift = rows - library.rows[: len(factors)]
+        return {f: replace(state, mean=library.base.mean + s).misfit(x) for f, s in zip(factors, shift, strict=True)}
+
+    found = misfits([1 / LADDER, 1.0, LADDER])
+    for _ in range(2):
+        best = min(found, key=lambda f: found[f])
+        if min(found) < best < max(found):
+            break
+        found |= misfits([best * LADDER if best > 1 else best / LADDER])
+    return scaled(start, min(found, key=lambda f: found[f]), none)
+
+
+def _linearised(library: Library, state: State, local: State, coordinates: list[Coordinate]) -> State:
+    """The neighbourhood of `local.model`: mean, slopes and spread from paired simulations around it."""
+    effect, n = local.model.effects[-1], len(coordinates)
+    offsets = _design(AROUND, n, WIDTH, np.random.default_rng([library.bench.seed, AROUND]))
+    settings = [{c.name: c.value_at(effect, b) for c, b in zip(coordinates, by, strict=True)} for by in offsets]
+    jobs = [(local.model.with_effects(changed(effect, setting)), k) for k, setting in enumerate(settings)]
+    shift = library.simulated(jobs) - library.rows[:AROUND]
+    centre, slopes = _regress(offsets, shift)
+    wild = shift - centre - np.einsum("kd,pod->kpo", offsets, slopes)
+    return replace(
+        local,
+        mean=library.base.mean + centre,
+        spread=np.sqrt(library.base.spread**2 + (wild**2).sum(axis=0) / (AROUND + PRIOR_SIMULATIONS)),
+        slopes=np.concatenate([state.slopes, slopes], axis=2),
+        prior=np.concatenate([state.prior, np.full(n, LOOSE * WIDTH)]),
+    )
+
+
+def _design(n: int, dimensions: int, width: float, rng: np.random.Generator) -> Array:
+    """Settings around the centre (n, dimensions): balanced, uncorrelated signs, first one at the centre."""
+    if dimensions == 0:
+        return np.zeros((n, 0))
+    signs = np.array([[(-1) ** (k >> d & 1) for d in range(dimensions)] for k in range(n)], dtype=float)
+    jitter = rng.uniform(0.6, 1.2, signs.shape)
+    signs[0] = 0.0
+    return signs * jitter * width
+
+
+def _regress(offsets: Array, shift: Array) -> tuple[Array, Array]:
+    """Linear fit of shift (k, part, observable) on offsets (k, d): value at the centre, slopes (…, d)."""
+    k, d = offsets.shape
+    design = np.concatenate([np.ones((k, 1)), offsets], axis=1)
+    inverse = np.linalg.inv(design.T @ design + np.diag([0.0, *np.full(d, 1e-3)]))
+    solution = np.einsum("de,ke,kpo->dpo", inverse, design, shift)
+    rest = shift - np.einsum("kd,dpo->kpo", design, solution)
+    error = (rest**2).sum(axis=0) / max(k - d - 1, 1) * np.diag(inverse)[1:, None, None]
+    # What is no larger than its own error is noise, which would pass for information about the parameter.
+    slopes = solution[1:] * trusted(solution[1:], error)
+    return solution[0], np.moveaxis(slopes, 0, -1)

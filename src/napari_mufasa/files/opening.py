@@ -1,0 +1,102 @@
+"""Opening what strangers wrote: nothing is unpickled, no other file is opened, damage is told in one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa import checks
+from napari_mufasa.errors import MufasaError
+
+#: Filters and compressors of zarr arrays that only turn bytes into numbers.
+CODECS = {
+    "adler32", "astype", "bitround", "blosc", "bytes", "bz2", "crc32", "crc32c", "delta", "fixedscaleoffset",
+    "fletcher32", "gzip", "jenkins_lookup3", "lz4", "lzma", "packbits", "quantize", "sharding_indexed", "shuffle",
+    "transpose", "zlib", "zstd",
+}  # fmt: skip
+MOST_META_BYTES = 2**28
+MOST_BLOCK_BYTES = 2**28
+
+
+class Guarded:
+    """An array on disk whose reading fails in one line. Axes of length one before the last two are dropped."""
+
+    def __init__(self, array: Any, path: Path) -> None:
+        self._array, self._path = array, path
+        self._kept = tuple(n > 1 or axis >= array.ndim - 2 for axis, n in enumerate(array.shape))
+        if array.ndim <= 3:
+            self._kept = (True,) * array.ndim
+        self.shape = tuple(n for n, kept in zip(array.shape, self._kept, strict=True) if kept)
+        self.chunks = tuple(n for n, kept in zip(array.chunks, self._kept, strict=True) if kept)
+        self.dtype, self.ndim = array.dtype, len(self.shape)
+        checks.affordable(
+            int(np.prod([float(n) for n in array.chunks])) * array.dtype.itemsize, f"one chunk of {path}",
+            "export it in smaller chunks",
+        )  # fmt: skip
+
+    def whole_frames(self) -> tuple[int, ...]:
+        """Blocks to read: whole frames, as many as stored together; as stored where that would be much."""
+        frames = (*self.chunks[:-2], *self.shape[-2:])
+        return frames if float(np.prod(frames)) * self.dtype.itemsize <= MOST_BLOCK_BYTES else self.chunks
+
+    def __getitem__(self, index: tuple[Any, ...]) -> NDArray[Any]:
+        given = iter(index)
+        whole = tuple(next(given) if kept else 0 for kept in self._kept)
+        try:
+            return np.asarray(self._array[whole])
+        except Exception as error:
+            raise MufasaError(f"{self._path} is damaged ({error}): copy or export it anew") from None
+
+
+def check_zarr(path: Path) -> None:
+    """Raise for a zarr folder whose description asks for other codecs than `CODECS` (one of them unpickles), or with
+    links that lead out of it."""
+    if path.is_file():
+        raise MufasaError(f"{path} is a file, not a zarr folder: unpack it first, or give a TIFF")
+    found = [path / name for name in ("zarr.json", ".zarray") if (path / name).is_file()]
+    if not found:
+        raise MufasaError(f"{path} is a folder without a zarr array: give a TIFF, or the array's own folder")
+    for file in found:
+        if file.stat().st_size > MOST_META_BYTES:
+            raise MufasaError(
+                f"{file} is larger than {checks.size(MOST_META_BYTES)}: this is no description of a movie"
+            )
+        for codec in _codecs(json.loads(file.read_text(encoding="utf-8"))):
+            if codec.removeprefix("numcodecs.") not in CODECS:
+                raise MufasaError(f"{path} is packed by {codec!r}, which is not opened: export it with zstd or gzip")
+    inside = path.resolve()
+    for folder, names, files in os.walk(path):
+        for name in (*names, *files):
+            each = Path(folder, name)
+            if each.is_symlink() and inside not in each.resolve().parents:
+                raise MufasaError(f"{path} holds a link that leads out of it ({name}): copy it with its data")
+
+
+def _codecs(description: Any) -> list[str]:
+    """The names of all codecs of a zarr array, those inside others, too."""
+    if isinstance(description, list):
+        return [name for part in description for name in _codecs(part)]
+    if not isinstance(description, dict):
+        return []
+    found = []
+    for key in ("codecs", "index_codecs", "filters", "compressor"):
+        parts = description.get(key) or []
+        for part in parts if isinstance(parts, list) else [parts]:
+            if isinstance(part, dict):
+                found += [str(part.get("name") or part.get("id")), *_codecs(part.get("configuration"))]
+            else:
+                found.append(str(part))
+    return found
+
+
+def no_other_files(ome_xml: str, path: Path) -> None:
+    """Raise for an OME description that sends its reader to files outside its folder."""
+    for name in re.findall(r"FileName\s*=\s*[\"']([^\"']*)[\"']", ome_xml):
+        if re.search(r"[/\\]|^\.\.", name):
+            raise MufasaError(f"{path} refers to a file elsewhere ({name}): export the movie as one file")

@@ -1,0 +1,6 @@
+"""A first model from a movie, and whether a movie and a model can belong together."""
+
+from napari_mufasa.propose.belongs import Mismatch, mismatches
+from napari_mufasa.propose.proposal import Proposal, propose_model
+
+__all__ = ["Mismatch", "Proposal", "mismatches", "propose_model"]

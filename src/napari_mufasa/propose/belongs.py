@@ -1,0 +1,120 @@
+"""Whether a movie and a believed model can belong together: said before anything is made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from napari_mufasa.calibrate import transfer
+from napari_mufasa.camera.detector import multiplication_noise, photoelectrons, read_noise_map_e
+from napari_mufasa.camera.readout import undone_noise_power
+
+if TYPE_CHECKING:
+    from napari_mufasa.files.instrument import Instrument
+    from napari_mufasa.model.model import Model
+
+FRAMES = 48  # looked at
+PATCH_PX = 5  # over which the darkest pixels are averaged
+SURE = 5.0  # standard errors
+GAIN_FACTOR = 1.6  # of variance over mean, from which on the gain is said to be wrong
+SIZE_FACTOR = 1.05  # of pixel size and frame time
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """`field` of the model (dotted path), what is believed and what the movie says, and words for a user."""
+
+    field: str
+    believed: float
+    measured: float
+    words: str
+
+
+def mismatches(movie: Any, model: Model, dark: Any = None, instrument: Instrument | None = None) -> list[Mismatch]:
+    """Where movie (frame, y, x) and model contradict each other; none: nothing speaks against it.
+
+    Looks at `FRAMES` frames of the movie. dark : dark frames, instrument : what the recording software wrote; None:
+    unknown.
+    """
+    found: list[Mismatch] = []
+    n = int(movie.shape[0])
+    start = max(0, (n - FRAMES) // 2)
+    stack = np.asarray(movie[start : start + FRAMES]).astype(np.float32)
+    camera = model.camera
+    maps = [getattr(camera, name) for name in ("offset_map_adu", "gain_map", "variance_map_e2")]
+    if any(m is not None and m.shape != stack.shape[1:] for m in maps):
+        return [Mismatch("camera", np.nan, np.nan, "the camera's maps have another shape than the movie's frames")]
+    found += _baseline(stack, model, dark)
+    if not found:
+        found += _gain(stack, model, start)
+    if instrument is not None:
+        timing = model.acquisition
+        found += _setting("pixel_size_nm", timing.pixel_size_nm, instrument.pixel_size_nm, "pixels of", "nm")
+        found += _setting("frame_length_s", timing.frame_length_s, instrument.exposure_s, "exposures of", "s")
+    return found
+
+
+def _baseline(stack: Any, model: Model, dark: Any) -> list[Mismatch]:
+    camera = model.camera
+    base = camera.baseline_adu - 0.5
+    if dark is not None:
+        level = float(np.mean(np.asarray(dark), dtype=np.float64))
+        gain = camera.em_gain or 1.0
+        expected = base + camera.clock_induced_charge_e * gain / camera.electrons_per_adu
+        noise = float(np.std(np.asarray(dark)[0]))
+        if abs(level - expected) > max(0.5 * noise, 2.0):
+            words = f"the dark frames have {level:.4g} ADU, the model's dark level is {expected:.4g} ADU"
+            return [Mismatch("camera.baseline_adu", camera.baseline_adu, level + 0.5, words)]
+        return []
+    means = stack.mean(axis=0, dtype=np.float64)
+    if camera.offset_map_adu is not None:
+        means = means - camera.offset_map_adu
+    noise = float(np.sqrt(np.median(np.var(stack, axis=0, ddof=1)) / len(stack))) if len(stack) > 1 else 0.0
+    if min(means.shape) >= 4 * PATCH_PX:  # of patches: their noise is smaller by as many times as they are wide
+        means, noise = uniform_filter(means, PATCH_PX), noise / PATCH_PX
+    darkest = float(np.percentile(means, 1))
+    # One pixel in a hundred lies 2.3 standard errors low by chance.
+    if base > darkest + (SURE + 2.3) * noise + 1.0:
+        words = (
+            f"the model's baseline is {camera.baseline_adu:.4g} ADU, but the darkest pixels have {darkest:.4g} ADU: "
+            "this is another camera, or another setting of it"
+        )
+        return [Mismatch("camera.baseline_adu", camera.baseline_adu, darkest, words)]
+    return []
+
+
+def _gain(stack: Any, model: Model, first: int) -> list[Mismatch]:
+    if len(stack) < 4:
+        return []
+    camera = model.camera
+    electrons = photoelectrons(stack, camera, first)
+    mean = electrons.mean(axis=0, dtype=np.float64)
+    quiet = transfer.quiet_pixels(mean)
+    mean, variance = mean[quiet], np.mean(transfer.second_differences(electrons) ** 2, axis=0)[quiet] / 6
+    slope = camera.em_gain or 1.0
+    read = float(np.mean(np.square(read_noise_map_e(camera)))) / slope**2 * undone_noise_power(camera)
+    rounding = (camera.electrons_per_adu / slope) ** 2 / 12
+    level = float(mean.mean())
+    light = float(np.median(variance)) - read - rounding
+    doubt = float(np.std(variance)) / np.sqrt(len(variance)) + 0.05 * (read + rounding)
+    if level <= 0 or light < SURE * doubt or level < 0.2:
+        return []
+    ratio = light / level / multiplication_noise(camera)
+    if 1 / GAIN_FACTOR < ratio < GAIN_FACTOR:
+        return []
+    believed = slope / camera.electrons_per_adu
+    words = (
+        f"counts scatter {ratio:.2g} times as the model's gain says: about {believed * ratio:.3g} ADU per "
+        f"photoelectron instead of {believed:.3g}"
+    )
+    return [Mismatch("camera.em_gain", believed, believed * ratio, words)]
+
+
+def _setting(field: str, believed: float, written: float | None, what: str, unit: str) -> list[Mismatch]:
+    if written is None or 1 / SIZE_FACTOR < written / believed < SIZE_FACTOR:
+        return []
+    words = f"the movie's metadata say {what} {written:.4g} {unit}, the model {believed:.4g} {unit}"
+    return [Mismatch(f"acquisition.{field}", believed, written, words)]

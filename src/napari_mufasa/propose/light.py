@@ -1,0 +1,135 @@
+"""What spots and their traces say of optics, density, brightness and dynamics, each with a 95 % interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
+from napari_mufasa.spots.find import LEAST_PROMINENCE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from napari_mufasa.model.setup import Camera
+    from napari_mufasa.traces.extract import TraceSet
+
+LEAST_SPOTS = 5
+WIDTH_DOUBT = 0.03  # of a width by moments, whatever the number of spots
+LEVEL_DOUBT = 0.04  # of a mean on level, by choice of molecules and width
+DENSITY_DOUBT = 0.15  # dim molecules that are missed, and noise that is not
+RESOLVED = 3.0  # distance in PSF widths from which on two spots are two
+SEEN_SD = 6.0  # noise sd that a molecule's light must reach to be found (`spots.find`)
+LEAST_BLINKS = 0.5  # dark times per molecule from which on blinking is believed
+
+
+@dataclass(frozen=True)
+class Seen:
+    """psf_sigma_px · background_e (photoelectrons per pixel and frame) · n_molecules · on_level_e (photoelectrons of a
+    bright molecule per frame) · bleaching_per_frame, off_per_frame (rates) · dark_frames (mean dark time in frames)."""
+
+    psf_sigma_px: Value
+    background_e: Value
+    n_molecules: Value
+    on_level_e: Value
+    bleaching_per_frame: Value
+    off_per_frame: Value
+    dark_frames: Value
+    traces: TraceSet
+
+
+def seen_in(
+    movie: Any, camera: Camera, dark: Any, gain_doubt: float, baseline_doubt_e: float, progress: Any = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Seen:  # fmt: skip
+    """Look at a movie (frame, y, x) with the camera measured; `gain_doubt`: relative, `baseline_doubt_e`: both sd."""
+    from napari_mufasa.traces import extract_traces
+
+    first = extract_traces(movie, camera, dark, width=None, progress=progress, cancel=cancel)
+    width = _width(first)
+    sigma = width.value if np.isfinite(width.value) else first.sigma_px
+    found = extract_traces(movie, camera, dark, psf_sigma_px=sigma, progress=progress, cancel=cancel)
+    width = _width(found) if np.isfinite(width.value) else width
+    spread = float(np.std(np.median(found.background, axis=1))) if len(found.background) > 1 else 0.0
+    background = found.background_e
+    share = float(np.hypot(baseline_doubt_e, abs(background) * np.hypot(gain_doubt, 0.02)))
+    share = float(np.hypot(share, spread / np.sqrt(max(len(found.background), 1))))
+    bleaching, off, dark_frames = _dynamics(found)
+    return Seen(
+        width, Value(background, share), _number(found, movie.shape[1:], bleaching), _level(found, gain_doubt),
+        bleaching, off, dark_frames, found,
+    )  # fmt: skip
+
+
+def _isolated(found: TraceSet) -> Any:
+    table = found.molecules
+    clear = table["kept"] & (table["significance"] > np.percentile(table["significance"], 30) if len(table) > 20 else 1)
+    return table[clear]
+
+
+def _width(found: TraceSet) -> Value:
+    spots = _isolated(found)
+    widths = np.sqrt(spots["sigma_minor_px"].to_numpy() * spots["sigma_major_px"].to_numpy())
+    widths = widths[np.isfinite(widths)]
+    if len(widths) < LEAST_SPOTS:
+        return UNKNOWN
+    middle = float(np.median(widths))
+    spread = 1.4826 * float(np.median(np.abs(widths - middle)))
+    return Value(middle, float(np.hypot(1.2533 * spread / np.sqrt(len(widths)), WIDTH_DOUBT * middle)))
+
+
+def _number(found: TraceSet, shape: tuple[int, ...], bleaching_per_frame: Value) -> Value:
+    table = found.molecules
+    n = int(np.sum((table["prominence"] >= LEAST_PROMINENCE) & (table["lit_frames"] >= 3)))
+    if n == 0:
+        return UNKNOWN
+    # Of molecules closer than what is resolved one is seen: n seen = A/a · (1 − exp(−n a/A)).
+    crowded = min(n * np.pi * (RESOLVED * found.sigma_px) ** 2 / float(np.prod(shape)), 0.9)
+    number = n * -np.log1p(-crowded) / crowded
+    # Those that bleach before their light adds up to what is found are not seen either.
+    snr = float(np.median(table["snr"][found.kept])) if found.kept.any() else SEEN_SD
+    rate = bleaching_per_frame.value if np.isfinite(bleaching_per_frame.value) else 0.0
+    number *= np.exp(min(rate * (SEEN_SD / max(snr, 0.1)) ** 2, 1.0))
+    doubt = float(np.hypot(np.hypot(np.sqrt(n), DENSITY_DOUBT * n), 0.5 * (number - n)))
+    return Value(float(number), doubt, max(float(number) - NORMAL * doubt, 1.0))
+
+
+def _level(found: TraceSet, gain_doubt: float) -> Value:
+    levels = found.molecules["brightness"].to_numpy()[found.kept]
+    if len(levels) < LEAST_SPOTS:
+        return UNKNOWN
+    middle = float(np.median(levels))
+    own = 1.2533 * 1.4826 * float(np.median(np.abs(levels - middle))) / np.sqrt(len(levels))
+    return Value(middle, float(np.sqrt(own**2 + middle**2 * (gain_doubt**2 + LEVEL_DOUBT**2))))
+
+
+def _dynamics(found: TraceSet) -> tuple[Value, Value, Value]:
+    """Bleaching and turning off per lit frame, and the mean dark time in frames, of the kept molecules.
+
+    Events over the time at risk: what the movie's end cuts off counts as time without an event.
+    """
+    table, lit = found.molecules[found.kept], found.lit[found.kept]
+    at_risk = float(lit.sum())
+    if len(table) < LEAST_SPOTS or at_risk == 0:
+        return UNKNOWN, UNKNOWN, UNKNOWN
+    bleached = int(np.sum(table["bleaching_frame"] >= 0))
+    blinks = int(table["n_blinks"].sum())
+    off = dark = UNKNOWN
+    if blinks >= LEAST_BLINKS * len(table):
+        between = np.maximum.accumulate(lit, axis=1) & np.maximum.accumulate(lit[:, ::-1], axis=1)[:, ::-1] & ~lit
+        off, times = _rate(blinks, at_risk), _rate(blinks, float(between.sum()))
+        low, high = times.interval
+        dark = Value(1 / times.value, times.sd / times.value**2, 1 / high, 1 / max(low, 1e-12))
+    return _rate(bleached, at_risk), off, dark
+
+
+def _rate(events: int, time: float) -> Value:
+    """Events per time, with the interval that a Poisson number has, a tenth wider for events missed or made up."""
+    from scipy import stats
+
+    low = stats.chi2.ppf(0.025, 2 * events) / 2 if events else 0.0
+    high = stats.chi2.ppf(0.975, 2 * events + 2) / 2
+    sd = np.sqrt(max(events, 1)) / time
+    return Value(events / time, float(sd), float(0.9 * low / time), float(1.1 * high / time))

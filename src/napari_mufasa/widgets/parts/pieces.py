@@ -1,0 +1,167 @@
+"""Small pieces of Qt that panels and pages are put together from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from qtpy.QtCore import QObject, Qt, QTimer
+from qtpy.QtGui import QIcon, QKeySequence, QShortcut  # type: ignore[attr-defined]
+from qtpy.QtWidgets import (
+    QBoxLayout,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QSizePolicy,
+    QTableWidget,
+    QTableWidgetItem,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)  # fmt: skip
+from superqt import QCollapsible
+
+KEY = Qt.ItemDataRole.UserRole
+ERROR_STYLE = "QLabel { color: #e0605e; }"
+
+
+class Tabs(QTabWidget):
+    """Tabs that take what height there is: their pages' wishes would make the panel scroll."""
+
+    def __init__(self, at_least: int, pages: dict[str, QWidget]) -> None:
+        super().__init__()
+        takes_the_rest(self, at_least)
+        for name, page in pages.items():
+            self.addTab(page, name)
+
+    def hasHeightForWidth(self) -> bool:
+        return False
+
+
+class RowTable(QTableWidget):
+    """A table of rows to choose one from, each with a key; the first column takes the room."""
+
+    def __init__(self, headers: list[str], accessible_name: str) -> None:
+        super().__init__(0, len(headers))
+        self.setHorizontalHeaderLabels(headers)
+        self.setAccessibleName(accessible_name)
+        self.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
+        self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+        self.setTextElideMode(Qt.TextElideMode.ElideRight)
+        self.setMinimumHeight(120)
+        rows: Any = self.verticalHeader()
+        rows.setVisible(False)
+        rows.setDefaultSectionSize(24)
+        header: Any = self.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+
+    def fill(self, rows: Iterable[tuple[str, list[str], str]]) -> None:
+        """Show these rows, each (key, cells, tooltip), and choose the first; nobody is told."""
+        blocked = self.blockSignals(True)
+        self.setRowCount(0)
+        for row, (key, cells, tip) in enumerate(rows):
+            self.insertRow(row)
+            for column, text in enumerate(cells):
+                item = QTableWidgetItem(text)
+                item.setToolTip(tip)
+                item.setData(KEY, key)
+                if column:
+                    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                self.setItem(row, column, item)
+        if self.rowCount():
+            self.selectRow(0)
+        self.blockSignals(blocked)
+
+    @property
+    def key(self) -> str:
+        """The key of the row that is chosen, empty when there is none."""
+        items: Any = self.selectedItems()
+        return str(items[0].data(KEY)) if items else ""
+
+
+def shortcut(owner: QWidget, keys: str, action: Callable[[], Any]) -> None:
+    """A key that works while the keyboard is anywhere within `owner`."""
+    made = QShortcut(QKeySequence(keys), owner)
+    made.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+    made.activated.connect(action)
+
+
+def timer(owner: QObject, wait_ms: int, action: Callable[[], Any]) -> QTimer:
+    """Does something once, `wait_ms` after it was last started."""
+    made = QTimer(owner)
+    made.setSingleShot(True)
+    made.setInterval(wait_ms)
+    made.timeout.connect(action)
+    return made
+
+
+def takes_the_rest(widget: QWidget, at_least: int) -> None:
+    """Let a part of a panel have the height that is left, and scroll only below `at_least` pixels."""
+    widget.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+    widget.setMinimumHeight(at_least)
+
+
+class Words(QLabel):
+    """Text that is broken where the dock ends, and takes no room while there is none."""
+
+    def __init__(self, text: str = "", error: bool = False) -> None:
+        super().__init__(text)
+        self.setWordWrap(True)
+        self.setStyleSheet(ERROR_STYLE if error else "")
+        if not text:
+            self.hide()
+
+    def say(self, text: str, error: bool = False) -> None:
+        """Show a text; only in a panel, for Qt would open a window for it elsewhere."""
+        self.setText(text)
+        self.setStyleSheet(ERROR_STYLE if error else "")
+        self.setVisible(bool(text))
+
+
+def button(text: str, action: Callable[[], Any], tooltip: str = "", enabled: bool = True) -> QPushButton:
+    made = QPushButton(text)
+    made.setToolTip(tooltip)
+    made.clicked.connect(lambda: action())
+    made.setEnabled(enabled)
+    return made
+
+
+def column(owner: QWidget, *items: QWidget, shares: Sequence[int] = (), margins: Any = (0, 0, 0, 0)) -> QVBoxLayout:
+    """Put widgets into `owner`, one below the other; `shares` of the room that is left go to the first of them."""
+    layout = QVBoxLayout(owner)
+    _fill(layout, items, shares, margins)
+    return layout
+
+
+def row(*items: QWidget, shares: Sequence[int] = (), spacing: int = 6) -> QWidget:
+    """A widget with others side by side."""
+    made = QWidget()
+    layout = QHBoxLayout(made)
+    layout.setSpacing(spacing)
+    _fill(layout, items, shares, (0, 0, 0, 0))
+    return made
+
+
+def _fill(layout: QBoxLayout, items: Sequence[QWidget], shares: Sequence[int], margins: Any) -> None:
+    layout.setContentsMargins(*margins)
+    for item in items:
+        layout.addWidget(item)
+    for number, share in enumerate(shares):
+        layout.setStretch(number, share)
+
+
+def section(title: str, content: QWidget, is_open: bool = False) -> QCollapsible:
+    """A part of a panel that folds away."""
+    folding = QCollapsible(f"▸ {title}", expandedIcon=QIcon(), collapsedIcon=QIcon())
+    # Signs in the text have its colour; as icons they are black in every theme.
+    folding.toggled.connect(lambda opened: folding.setText(f"{'▾' if opened else '▸'} {title}"))
+    folding.setDuration(0)  # animations make the layout jump
+    folding.addWidget(content)
+    layout: Any = folding.layout()
+    layout.setContentsMargins(0, 0, 0, 0)
+    if is_open:
+        folding.expand(animate=False)
+    return folding

@@ -1,0 +1,264 @@
+"""Joint fits against a bench whose simulations are a known function and noise: what is found was put in."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import napari_mufasa as nm
+from napari_mufasa.discover import joint
+from napari_mufasa.discover.coordinates import Coordinate
+from napari_mufasa.discover.library import build
+from napari_mufasa.discover.nuisance import nuisances
+from napari_mufasa.discover.null import Null
+from napari_mufasa.discover.rules import ALARM
+from napari_mufasa.discover.stand import Stand
+from napari_mufasa.discover.start import begun, started
+from napari_mufasa.effects import effect_class
+
+P = 60
+HOT, ROWS = effect_class("hot_pixels"), effect_class("row_noise")
+KINDS = ["hot_pixels", "row_noise", "column_offset"]
+
+
+class ToyBench:
+    """Observables that saturate with the strength of hot pixels and turn with their electrons, and that grow with row
+    noise; column offsets are like row noise but for a part of their own. Noise of one seed is the same for every
+    model, as in the simulator."""
+
+    seed, is_cheap, matching_simulations, done = 1, False, 0, 0
+    names = tuple(f"o{i}" for i in range(P))
+    start = nm.preset("FF")
+    values = ()
+
+    def __init__(self):
+        self.one, self.two, self.three, self.four = np.random.default_rng(7).standard_normal((4, 3, P)) * 6
+        self.gaps = set()
+        self.measured = SimpleNamespace(values=np.zeros((3, P)))
+
+    def law(self, model):
+        total = np.zeros((3, P))
+        for effect in model.effects:
+            if effect.kind == "hot_pixels":
+                more = np.log1p(effect.fraction / 1e-3)
+                total = total + more * (self.one + self.two * np.log(effect.electrons / 10.0))
+            else:
+                own = self.four if effect.kind == "column_offset" else 0.0
+                total = total + np.log1p(effect.rms_adu) * (self.three + 0.4 * own)
+        return total
+
+    def plan(self, more):
+        pass
+
+    def least_spread(self):
+        return np.full(P, 0.1)
+
+    def free_values(self, model):
+        return list(self.values)
+
+    def read_off(self, kind):
+        return {}
+
+    def matched(self, model):
+        return model  # a toy has no moments to match
+
+    def noise(self, model, number):
+        return np.random.default_rng([3, number]).standard_normal((3, P))
+
+    def rows(self, jobs):
+        self.done += len(jobs)
+        return np.array([self.law(m) + self.noise(m, k) for m, k in jobs])
+
+
+def stand_of(bench, truth, number=999, kinds=KINDS):
+    """The model believed, before a measurement of the truth."""
+    near = build(bench, bench.start, kinds)
+    x = bench.rows([(truth, number)])[0]
+    return Stand(near, (), x, Null.of(*near.null_distribution()), near.base)
+
+
+def after(stand, state, kinds=KINDS):
+    near = joint.settled(stand.library, state, stand.x, kinds, 2000)
+    added = tuple(effect.kind for effect in near.base.model.effects)
+    return Stand(near, added, stand.x, stand.null, stand.first)
+
+
+def best(stand):
+    model = stand.state.model_at(stand.state.adjusted(stand.x).moves)
+    return {effect.kind: effect for effect in model.effects}
+
+
+def usual_misfit():
+    """chi² of P observables at a chance of 1e-4, with a tenth more for the finite simulations."""
+    return 1.1 * stats.chi2.isf(1e-4, P)
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return ToyBench()
+
+
+@pytest.mark.parametrize(("fraction", "electrons"), [(4e-4, 25.0), (5e-3, 4.0), (2e-2, 10.0)])
+def test_a_fit_finds_strength_and_shape_from_a_far_start(bench, fraction, electrons):
+    """The start is up to 50 times off in strength and 5 times in shape; noise alone allows about a percent."""
+    stand = stand_of(bench, bench.start.with_effects(HOT(fraction=fraction, electrons=electrons)))
+    start = HOT(fraction=4e-4 if fraction > 1e-3 else 1e-2, electrons=20.0 if electrons < 20 else 5.0)
+    found = after(stand, begun(stand.library, stand.state, [start], stand.x))
+    effect, sd = best(found)["hot_pixels"], found.uncertainties()["hot_pixels"]
+    assert effect.fraction == pytest.approx(fraction, rel=0.15)
+    assert effect.electrons == pytest.approx(electrons, rel=0.15)
+    assert 0 < sd["fraction"] < 0.2 * fraction and 0 < sd["electrons"] < 0.2 * electrons
+    assert found.misfit < usual_misfit()
+
+
+def test_what_is_stated_is_as_uncertain_as_it_is(bench):
+    """Of 40 intervals that hold 95 % each, 32 or fewer hold with a chance below 10⁻³."""
+    truth = HOT(fraction=5e-3, electrons=10.0)
+    inside = {"fraction": 0, "electrons": 0}
+    base = stand_of(bench, bench.start.with_effects(truth))
+    fitted = after(base, begun(base.library, base.state, [HOT(fraction=4e-3, electrons=12.0)], base.x))
+    for number in range(9000, 9040):
+        x = bench.rows([(bench.start.with_effects(truth), number)])[0]
+        found = Stand(fitted.library, fitted.added, x, fitted.null, fitted.first)
+        for name in inside:
+            off = getattr(best(found)["hot_pixels"], name) - getattr(truth, name)
+            inside[name] += abs(off) < 1.96 * found.uncertainties()["hot_pixels"][name]
+    assert min(inside.values()) > 32
+
+
+def test_the_floor_is_what_fresh_simulations_score(bench):
+    """A floor from simulations that made the mean and the spread themselves would be some 10 % too low."""
+    stand = stand_of(bench, bench.start.with_effects(HOT(fraction=5e-3, electrons=8.0)))
+    found = after(stand, begun(stand.library, stand.state, [HOT(fraction=5e-3, electrons=8.0)], stand.x)).state
+    fresh = bench.rows([(found.model, 50_000 + k) for k in range(200)])
+    # The scatter of one score is about 1 / sqrt(4 P) = 6 %, of the median of 12 of them 2.5 %.
+    assert found.floor == pytest.approx(np.median([found.held_out_error(row) for row in fresh]), rel=0.08)
+
+
+def test_two_effects_are_taken_up_together_and_neither_bends_the_other(bench):
+    truth = HOT(fraction=5e-3, electrons=8.0), ROWS(rms_adu=3.0)
+    stand = stand_of(bench, bench.start.with_effects(*truth))
+    leads = stand.promising(set())
+    assert {forms[0].ray.effect.kind for forms in leads[:2]} == {"hot_pixels", "row_noise"}
+    state = stand.state
+    for start in (HOT(fraction=2e-3, electrons=15.0), ROWS(rms_adu=1.0)):
+        state = begun(stand.library, state, [start], stand.x)
+    found = after(stand, state)
+    effects = best(found)
+    assert effects["hot_pixels"].fraction == pytest.approx(5e-3, rel=0.15)
+    assert effects["row_noise"].rms_adu == pytest.approx(3.0, rel=0.15) and found.misfit < usual_misfit()
+    assert all(found.is_worth(worth) and worth.error_without > 2 * found.error for worth in found.worths.values())
+
+
+def test_what_stands_in_for_another_beside_it_is_not_worth_its_place(bench):
+    """Column offsets look like row noise; beside it nothing is left for them."""
+    stand = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0)))
+    state = stand.state
+    for start in (ROWS(rms_adu=1.0), effect_class("column_offset")(rms_adu=1.0)):
+        state = begun(stand.library, state, [start], stand.x)
+    found = after(stand, state)
+    assert found.is_worth(found.worths["row_noise"]) and not found.is_worth(found.worths["column_offset"])
+
+
+def test_an_effect_that_promises_nothing_is_started_all_the_same(bench):
+    """A user may ask for it; there is none of it."""
+    stand = stand_of(bench, bench.start)
+    forms = [replace(lead, gain=lead.gain - 1e3) for lead in stand.leads["hot_pixels"]]
+    state = started(stand.library, stand.state, forms, stand.x)
+    assert state.model.effects[-1].kind == "hot_pixels" and stand.misfit - state.misfit(stand.x) < 12
+
+
+def test_nothing_is_promising_where_nothing_is_missing(bench):
+    """An alarm is allowed in 2 % of measurements: four and more of 40 have a chance below 1 %."""
+    near = build(bench, bench.start, KINDS)
+    null = Null.of(*near.null_distribution())
+    alarms = 0
+    for number in range(700, 740):
+        alarms += bool(Stand(near, (), bench.rows([(bench.start, number)])[0], null, near.base).promising(set()))
+    assert alarms <= stats.binom.isf(0.01, 40, ALARM) == 3
+
+
+class BentBench(ToyBench):
+    """With hot pixels more light lowers what it raises without them: the base model's derivative leads astray."""
+
+    values = tuple(n for n in nuisances(ToyBench.start) if n.path == "optics.brightness_correction")
+
+    def law(self, model):
+        light = np.log(model.optics.brightness_correction) * 40.0 * (-1 if model.effects else 1)
+        return super().law(model) + light * np.roll(self.one, 1) / 6
+
+
+def test_derivatives_taken_anew_bring_nuisance_values_home():
+    bench = BentBench()
+    truth = bench.start.with_values({"optics.brightness_correction": 1.15})
+    stand = stand_of(bench, truth.with_effects(HOT(fraction=5e-3, electrons=8.0)))
+    found = after(stand, begun(stand.library, stand.state, [HOT(fraction=5e-3, electrons=8.0)], stand.x))
+    light = found.state.model_at(found.state.adjusted(stand.x).moves).optics.brightness_correction
+    assert light == pytest.approx(1.15, rel=0.02) and found.misfit < usual_misfit()
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_nuisance_values_are_matched_again_where_that_is_nearer(bench, monkeypatch, better):
+    truth = bench.start.with_effects(HOT(fraction=5e-3, electrons=8.0))
+    other = bench.start.with_effects(HOT(fraction=5e-4, electrons=30.0))
+    stand = stand_of(bench, truth, 996)
+    monkeypatch.setattr(bench, "matched", lambda model: truth if better else other)
+    assert joint.nearer(stand.library, stand.state, other if better else truth, stand.x) == truth
+
+
+class CurvedBench(ToyBench):
+    """The light's effect bends over: from afar its derivative promises a model that is not there."""
+
+    start = ToyBench.start.with_values({"optics.brightness_correction": 2.0})
+    values = tuple(n for n in nuisances(start) if n.path == "optics.brightness_correction")
+
+    def law(self, model):
+        light = np.log(model.optics.brightness_correction / 2.0)
+        return 40.0 * np.tanh(2.0 * light) * self.one / 6
+
+
+@pytest.mark.parametrize("light", [2.0, 3.6])
+def test_far_from_a_measurement_free_values_go_downhill_as_far_as_simulations_confirm(light):
+    bench = CurvedBench()
+    stand = stand_of(bench, bench.start.with_values({"optics.brightness_correction": light}), kinds=[])
+    one_step = stand.state.model_at(stand.state.adjusted(stand.x).moves)
+    found = joint.descended(stand.library, stand.state, bench.start, stand.x, 1000)
+    if light == 2.0:
+        assert found is bench.start  # nothing is nearer
+        return
+    assert one_step.optics.brightness_correction < 0.9 * light
+    assert found.optics.brightness_correction == pytest.approx(light, rel=0.03)
+
+
+def test_no_more_is_spent_than_may_be():
+    bench = CurvedBench()
+    stand = stand_of(bench, bench.start.with_values({"optics.brightness_correction": 3.6}), kinds=[])
+    before = bench.done
+    assert joint.descended(stand.library, stand.state, bench.start, stand.x, 6) is bench.start
+    assert bench.done - before == joint.TRIALS  # it looked where it stood
+
+
+class ReadingBench(ToyBench):
+    """The measurement shows the electrons directly, whatever a fit would say."""
+
+    def read_off(self, kind):
+        return {"electrons": 12.0} if kind == "hot_pixels" else {}
+
+
+def test_what_is_read_off_is_not_fitted():
+    bench = ReadingBench()
+    stand = stand_of(bench, bench.start.with_effects(HOT(fraction=5e-3, electrons=10.0)))
+    found = after(stand, begun(stand.library, stand.state, [HOT(fraction=2e-3, electrons=12.0)], stand.x))
+    assert best(found)["hot_pixels"].electrons == 12.0 and found.state.free == ("hot_pixels.fraction",)
+    assert set(found.uncertainties()["hot_pixels"]) == {"fraction"}
+    assert found.misfit > usual_misfit()  # 20 % off in what was read off is left as it is
+
+
+def test_what_does_not_matter_to_a_form_is_not_free():
+    bleaching, model = effect_class("photobleaching"), nm.preset("FF")
+    free = {form: [c.name for c in Coordinate.of(bleaching(form=form), model)] for form in bleaching.forms()}
+    assert free == {
+        "exponential": ["rate_per_s"], "two_populations": ["rate_per_s", "fast_fraction", "rate_ratio"]
+    }  # fmt: skip

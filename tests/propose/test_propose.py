@@ -1,0 +1,136 @@
+"""A first model holds the truth in its intervals; movies and models that contradict each other are told."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from tests.real_data import real_data
+
+import napari_mufasa as nm
+from napari_mufasa.files.instrument import Instrument, read_instrument
+from napari_mufasa.model.cameras import CAMERAS, camera_type_of
+
+SHAPE = {"acquisition.shape_px": (96, 96), "acquisition.n_frames": 150, "sample.n_molecules": 40}
+
+
+@pytest.fixture(scope="module")
+def bright():
+    model = nm.preset("FF").with_values(SHAPE | {"excitation.power_density_w_per_cm2": 12})
+    return model, nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)
+
+
+def test_a_simulated_movie_is_proposed_as_it_was_made(bright):
+    model, movie, dark = bright
+    written = Instrument(pixel_size_nm=100.0, exposure_s=0.01, em_gain=500.0, camera="DU897_BV")
+    found = nm.propose_model(movie, dark, instrument=written)
+    truth = {
+        "optics.psf_fwhm_nm": 308.0, "optics.background_photons_per_px": 20.0, "sample.n_molecules": 40.0,
+        "camera.baseline_adu": 367.0, "camera.read_noise_e": 60.58, "adu_per_photoelectron": 500 / 0.74,
+        "photons_per_frame": nm.predict(model).collected_photons_per_frame,
+    }  # fmt: skip
+    held = {name: found.values[name].holds(value) for name, value in truth.items()}
+    assert sum(held.values()) >= len(held) - 1, held  # each with 5 % of error
+    assert found.model.acquisition.frame_length_s == 0.01 and found.model.camera.em_gain == 500
+    assert "camera.quantum_efficiency" in found.unknown and "acquisition.pixel_size_nm" not in found.unknown
+    assert nm.predict(found.model).detected_e_per_frame == pytest.approx(found.values["on_level_e"].value, rel=0.02)
+    assert nm.mismatches(movie, found.model, dark, written) == []
+    assert json.dumps(found.report())
+
+
+def test_what_cannot_be_known_is_said(bright):
+    _, movie, dark = bright
+    found = nm.propose_model(movie, dark)
+    for name in ("acquisition.pixel_size_nm", "acquisition.frame_length_s", "camera.em_gain", "fluorophore"):
+        assert found.unknown[name]
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [({"camera.baseline_adu": 15000.0}, "camera.baseline_adu"), ({"camera.em_gain": 150.0}, "camera.em_gain"),
+     ({"acquisition.pixel_size_nm": 160.0}, "acquisition.pixel_size_nm"),
+     ({"acquisition.frame_length_s": 0.02}, "acquisition.frame_length_s")],
+)  # fmt: skip
+def test_a_movie_and_a_model_that_cannot_belong_together(bright, changes, field):
+    model, movie, dark = bright
+    written = Instrument(pixel_size_nm=100.0, exposure_s=0.01)
+    assert nm.mismatches(movie, model, None, written) == nm.mismatches(movie, model, dark, written) == []
+    told = nm.mismatches(movie, model.with_values(changes), None, written)
+    assert [one.field for one in told] == [field] and told[0].words
+
+
+def test_settings_of_micro_manager_are_read(tmp_path):
+    settings = {
+        "Andor-Gain": "300", "Andor-Exposure": "50.00", "Andor-Pre-Amp-Gain": "Gain 3", "Exposure-ms": 50,
+        "Andor-ReadoutMode": "17.000 MHz", "PixelSizeUm": 0.16, "Interval_ms": 55.0, "BitDepth": 16,
+        "Camera": "Andor | DU-897",
+    }  # fmt: skip
+    path = tmp_path / "mm.tif"
+    tag = (51123, "s", 0, json.dumps(settings), True)
+    tifffile.imwrite(path, np.zeros((3, 8, 8), np.uint16), extratags=[tag])
+    found = read_instrument(path)
+    assert found == Instrument("Andor | DU-897", 300.0, 3.0, 17e6, 0.05, pytest.approx(0.055), 160.0, 16)
+    assert camera_type_of(found.camera) == "EMCCD"
+
+
+def test_settings_of_ome_and_of_our_own_movies_are_read(tmp_path, bright):
+    from napari_mufasa import files
+
+    path = tmp_path / "o.ome.tif"
+    tifffile.imwrite(
+        path, np.zeros((2, 8, 8), np.uint16),
+        metadata={"axes": "TYX", "PhysicalSizeX": 0.11, "PhysicalSizeXUnit": "µm",
+                  "Plane": {"ExposureTime": [30.0, 30.0], "ExposureTimeUnit": ["ms", "ms"]}},
+    )  # fmt: skip
+    found = read_instrument(path)
+    assert found.pixel_size_nm == pytest.approx(110.0) and found.exposure_s == pytest.approx(0.03)
+    model, movie, _ = bright
+    files.write_movie(tmp_path / "own.ome.tif", [movie], movie.shape, np.uint16, model=model, seed=1)
+    assert read_instrument(tmp_path / "own.ome.tif").pixel_size_nm == pytest.approx(100.0)
+    assert read_instrument(tmp_path / "none.tif") == Instrument()
+
+
+def test_named_cameras_are_cameras():
+    for name, values in CAMERAS.items():
+        assert nm.Camera.model_validate(values).type == (camera_type_of(name) or values["type"]), name
+
+
+def gaussian_width(image, sigma):
+    """Of one spot, by least squares, pixels integrated; σ in px."""
+    from scipy.optimize import curve_fit
+    from scipy.special import erf
+
+    y, x = np.indices(image.shape) - len(image) // 2
+
+    def spot(_, a, b, cy, cx, s):
+        wide = s * np.sqrt(2)
+        along = [erf((z - c + 0.5) / wide) - erf((z - c - 0.5) / wide) for z, c in ((y, cy), (x, cx))]
+        return (b + a * along[0] * along[1]).ravel()
+
+    start = (np.ptp(image), image.min(), 0, 0, sigma)
+    return float(curve_fit(spot, None, image.ravel(), p0=start, maxfev=2000)[0][4])
+
+
+@pytest.mark.realdata
+def test_the_width_of_a_real_movie_is_that_of_a_fit_to_isolated_spots():
+    movie = tifffile.imread(real_data("smfret_ixon_emccd.tif"))
+    found = nm.propose_model(movie, em_gain=300, frame_length_s=0.15)
+    sigma = found.values["psf_sigma_px"].value
+    traces = nm.extract_traces(movie, found.model.camera, psf_sigma_px=sigma)
+    widths = []
+    for (y, x), lit in zip(traces.positions_px[traces.kept], traces.lit[traces.kept], strict=True):
+        cy, cx = round(y), round(x)
+        if 4 <= cy < movie.shape[1] - 4 and 4 <= cx < movie.shape[2] - 4:
+            widths.append(gaussian_width(movie[lit, cy - 3 : cy + 4, cx - 3 : cx + 4].mean(axis=0), sigma))
+    assert sigma == pytest.approx(float(np.median(widths)), rel=0.1)
+    assert found.values["camera.baseline_adu"].value == pytest.approx(108, abs=10)
+    assert nm.mismatches(movie, found.model) == []
+    told = nm.mismatches(movie, nm.preset("FF"))
+    assert told[0].field == "camera.baseline_adu" and "darkest pixels" in told[0].words
+
+
+@pytest.mark.realdata
+def test_the_settings_of_a_real_movie():
+    assert read_instrument(real_data("emccd_gain_series/300x-gain.tif")).bit_depth == 16
