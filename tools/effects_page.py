@@ -83,7 +83,7 @@ def section(effect: type[Effect]) -> str:
         f"* Rivals: {', '.join(f'[{kind}](#{kind})' for kind in effect.rivals)}",
         f"* Told apart by: {effect.separated_by}",
         f"* To check: {effect.how_to_check}",
-        *([] if effect.searched else ["* Searched by a diagnosis only when named"]),
+        *([] if effect.common else ["* A diagnosis considers it where the common ones leave a model off its floor"]),
         "",
     ]
     return "\n".join(lines)

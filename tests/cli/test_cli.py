@@ -255,7 +255,7 @@ def test_diagnose_takes_a_table_of_traces(cli, model_file, tmp_path, monkeypatch
     from napari_mufasa.files.traces import write_trace_file
     from napari_mufasa.traces import Options
 
-    monkeypatch.setattr(investigation, "candidate_kinds", lambda model: ["photobleaching"])
+    monkeypatch.setattr(investigation, "candidate_kinds", lambda: ["photobleaching"])
     model = Model.from_json(model_file)
     hidden = model.with_values({"effects": [{"kind": "photobleaching", "rate_per_s": 0.5}]})
     field = FarApart(model.sigma_px, 80, Options(psf_sigma_px=model.sigma_px), 1, quick=True)

@@ -212,7 +212,7 @@ def test_settings_of_every_effect_span_its_range_and_forms():
         low, high, _ = effect.plausible(nm.preset("EGFP"))[effect.strength]
         values = [getattr(s, effect.strength) for s in settings]
         assert low <= min(values) < max(values) <= high
-        assert {s.form_name for s in settings} == set(effect.forms()) - set(effect.unsearched_forms), kind
+        assert {s.form_name for s in settings} == set(effect.forms()), kind
 
 
 def test_every_form_has_a_strong_setting_and_choices_are_not_tied():
@@ -220,7 +220,7 @@ def test_every_form_has_a_strong_setting_and_choices_are_not_tied():
         settings = ray_settings(effect, nm.preset("EGFP"), np.random.default_rng(1))
         low, high, log = effect.plausible(nm.preset("EGFP"))[effect.strength]
         scale = np.log if log else float
-        for form in set(effect.forms()) - set(effect.unsearched_forms):
+        for form in set(effect.forms()):
             values = [getattr(s, effect.strength) for s in settings if s.form_name == form]
             shares = [(scale(v) - scale(low)) / (scale(high) - scale(low)) for v in values]
             strong = max(abs(u - 0.5) * 2 for u in shares) if two_sided(effect, effect.null_value) else max(shares)

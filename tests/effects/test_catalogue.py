@@ -65,7 +65,7 @@ def test_an_effect_explains_itself(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_diagnosis_looks_for_the_new_ones_only_when_asked(kind):
-    assert catalogue()[kind].considered_in(plain()) == (kind not in NEW)
+    assert catalogue()[kind].common_in(plain()) == (kind not in NEW)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -166,7 +166,7 @@ def test_em_noise_suits_cameras_that_have_or_may_have_a_register():
     em_noise = catalogue()["em_excess_noise"]
     models = {"EMCCD": plain(), "CCD": ccd(), "CMOS": cmos()}
     assert [em_noise.suits(models[c]) for c in ("EMCCD", "CCD", "CMOS")] == [True, True, False]
-    assert [em_noise.considered_in(models[c]) for c in ("EMCCD", "CCD", "CMOS")] == [True, False, False]
+    assert [em_noise.common_in(models[c]) for c in ("EMCCD", "CCD", "CMOS")] == [True, False, False]
     assert [em_noise.none_at(models[c]) for c in ("EMCCD", "CCD")] == [2.0, 1.0]
     assert em_noise.plausible(ccd())["excess_noise_factor"][:2] == (1.0, 2.0)
 

@@ -37,7 +37,8 @@ def diagnose(
     model : the model believed; its shape and length are taken from the movie
     dark : (frame, y, x) dark frames or None
     seed : the same seed gives the same answer
-    effects : kinds to consider; None: the whole catalogue that suits the camera
+    effects : kinds to consider; None: the whole catalogue that suits the camera, uncommon effects where the common
+        ones leave the model far off its floor
     max_effects : so many are added at most; None: as many as earn their place
     budget : simulations that may be spent; None: 4000, fewer of a large movie
     progress : called with (done, in all); cancel : True stops (raises `Cancelled`)
@@ -105,6 +106,8 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         if max_effects is not None:
             leads = leads[: max(max_effects - len(known), 0)]
         little = known and (not leads or leads[0][0].gain < FORM_FIRST * (inquiry.first.misfit - stand.misfit))
+        if (little or not leads) and inquiry.widen():
+            continue
         if little and inquiry.exchange(rivals=not leads):
             pass
         elif leads and inquiry.affords(len(leads)):

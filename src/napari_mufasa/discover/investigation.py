@@ -18,7 +18,7 @@ from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
-from napari_mufasa.discover.rules import NEAR, RIVAL
+from napari_mufasa.discover.rules import FAR, NEAR, RIVAL
 from napari_mufasa.discover.stand import Stand, Worth
 from napari_mufasa.discover.standing import Standing, share_of
 from napari_mufasa.discover.start import SIMULATIONS, begun, started
@@ -62,8 +62,8 @@ class Investigation(Standing):
     ) -> None:
         _check(model, seed)
         self.measurement = prepare(movie, model, dark)
-        kinds = _suitable(_searched(model) if effects is None else effects, model)
-        super().__init__(MovieBench(self.measurement, seed, progress, cancel), model, kinds, budget)
+        super().__init__(MovieBench(self.measurement, seed, progress, cancel), model, budget)
+        self._consider(effects, list(catalogue()))
 
     # Steps --------------------------------------------------------------------------------------------------
 
@@ -82,6 +82,18 @@ class Investigation(Standing):
             self.ranking.append(self._tried(kind, tried[kind], near))
         self.ranking += [self._lead(kind, forms[0]) for kind, forms in stand.leads.items() if kind not in tried]
         return self.ranking
+
+    def widen(self) -> bool:
+        """Consider the uncommon effects, too, where the model as it stands is far off its floor. True if there were
+        any to consider."""
+        stand = self.stand
+        new = [kind for kind in self.further if kind not in stand.added]
+        if not new or stand.error < FAR * stand.state.floor:
+            return False
+        self.bench.plan(library.ray_simulations(new, stand.state.model))
+        self.kinds, self.further = [*self.kinds, *new], []
+        self.stands[-1] = replace(stand, library=library.with_rays(stand.library, new))
+        return True
 
     def add(self, *what: str | Effect | Candidate) -> None:
         """Fit effects into the model as it stands, together with all that is in it already."""
@@ -187,6 +199,12 @@ class Investigation(Standing):
 
     # Inside -------------------------------------------------------------------------------------------------
 
+    def _consider(self, named: Sequence[str] | None, shown: Sequence[str]) -> None:
+        """The kinds considered: those named, or of those `shown` by the measurement the common ones first."""
+        kinds = _suitable(shown if named is None else named, self.believed)
+        common = [kind for kind in kinds if named is not None or effect_class(kind).common_in(self.believed)]
+        self.kinds, self.further = common, [kind for kind in kinds if kind not in common]
+
     def _settle(self, state: State) -> None:
         """All free values fitted together, and the neighbourhood simulated anew: a further stand."""
         last = self.stand
@@ -226,9 +244,9 @@ class Investigation(Standing):
 
 
 def _each_form(effect: Effect) -> list[Effect]:
-    """The effect with every choice of form that is searched, its own first."""
+    """The effect with every choice of form, its own first."""
     found = [effect]
-    for name, options in library.choice_fields(type(effect)).items():
+    for name, options in type(effect).choices().items():
         found += [changed(e, {}, **{name: option}) for e in found for option in options if option != getattr(e, name)]
     return found
 
@@ -252,22 +270,17 @@ class TraceInvestigation(Investigation):
         cancel: Callable[[], bool] | None = None,
     ) -> None:
         _check(model, seed)
-        kinds = _suitable(candidate_kinds(model) if effects is None else effects, model)
         bench = TraceBench(
             traces, model, unit, profile, background_subtracted, pixel_share, seed=seed, progress=progress,
             cancel=cancel,
         )  # fmt: skip
-        Standing.__init__(self, bench, model, kinds, budget)
+        Standing.__init__(self, bench, model, budget)
+        self._consider(effects, candidate_kinds())
 
 
 def _check(model: Model, seed: int) -> None:
     checks.need(model, Model, "model", "give nm.preset(…) or nm.Model.from_json(…)")
     Streams(seed)  # raises on a bad seed
-
-
-def _searched(model: Model) -> list[str]:
-    """The effects that are considered where none are named."""
-    return [kind for kind, effect in catalogue().items() if effect.considered_in(model)]
 
 
 def _suitable(kinds: Sequence[str], model: Model) -> list[str]:

@@ -124,7 +124,12 @@ def build(
     base = _with_noise_of(replace(bare, slopes=slopes), rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
     library = Library(bench, base, rows, {})
-    return replace(library, rays=_rays(library, kinds))
+    return with_rays(library, kinds)
+
+
+def with_rays(library: Library, kinds: Sequence[str]) -> Library:
+    """The neighbourhood with a few settings of further effects."""
+    return replace(library, rays=library.rays | _rays(library, kinds))
 
 
 def _rays(library: Library, kinds: Sequence[str]) -> dict[str, list[Ray]]:
@@ -145,7 +150,7 @@ def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -
     """Settings that span an effect's plausible range: strengths spread evenly, the strongest first, and the less of the
     weak ones the fewer settings each form has, for weaker ones follow from a strong one; shapes at random, forms and
     other choices in turn."""
-    ranges, choices = searched_ranges(effect, model), choice_fields(effect)
+    ranges, choices = effect.plausible(model), effect.choices()
     n = RAYS + len(ranges) - 1
     weakest = max(0.0, 1 - n / (2 * len(effect.forms())))
     found = []
@@ -163,19 +168,11 @@ def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -
     return found
 
 
-def searched_ranges(effect: type[Effect], model: Model) -> dict[str, tuple[float, float, bool]]:
-    """The plausible ranges of what matters to the forms that are searched."""
-    forms = set(effect.forms()) - set(effect.unsearched_forms)
-    return {name: span for name, span in effect.plausible(model).items() if not effect.only_for(name).isdisjoint(forms)}
-
-
-def choice_fields(effect: type[Effect]) -> dict[str, tuple[str, ...]]:
-    """Fields with named options: the form, and others like it, but for forms that are not searched."""
-    unsearched = effect.unsearched_forms
-    return {name: tuple(o for o in options if o not in unsearched) for name, options in effect.choices().items()}
-
-
 def expected_simulations(kinds: Sequence[str], n_free: int, model: Model) -> int:
     """How many simulations `build` makes."""
-    rays = sum(RAYS + len(searched_ranges(catalogue()[k], model)) - 1 for k in kinds)
-    return BASE_SIMULATIONS + CHECK_SIMULATIONS + SLOPE_SEEDS * n_free + rays
+    return BASE_SIMULATIONS + CHECK_SIMULATIONS + SLOPE_SEEDS * n_free + ray_simulations(kinds, model)
+
+
+def ray_simulations(kinds: Sequence[str], model: Model) -> int:
+    """How many of them are settings of effects."""
+    return sum(RAYS + len(catalogue()[k].plausible(model)) - 1 for k in kinds)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,12 +22,15 @@ class Standing:
     """One measurement (seen through its bench), one model believed, the kinds of effects considered, and the stands:
     of the model believed, then after each step.
 
+    kinds : of effects considered · further : those considered where they leave the model far off its floor
     ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent
     """
 
-    def __init__(self, bench: Bench[Any], believed: Model, kinds: Sequence[str], budget: int | None) -> None:
+    def __init__(self, bench: Bench[Any], believed: Model, budget: int | None) -> None:
         self._started = time.monotonic()
-        self.bench, self.believed, self.kinds, self.seed = bench, believed, list(kinds), bench.seed
+        self.bench, self.believed, self.seed = bench, believed, bench.seed
+        self.kinds: list[str] = []
+        self.further: list[str] = []
         timing = bench.start.acquisition
         affordable = min(BUDGET, BUDGET_VALUES // (timing.n_frames * int(np.prod(timing.shape_px))))
         self.budget = affordable if budget is None else budget

@@ -47,15 +47,13 @@ ELSEWHERE = ("illumination_profile",)  # light that depends on where a molecule 
 NOT_SHOWN = ("optics.psf_fwhm_nm", "camera.baseline_adu", "sample.n_molecules")  # by a trace without an image
 
 
-def candidate_kinds(model: Model) -> list[str]:
+def candidate_kinds() -> list[str]:
     """Effects that change a lone trace: photophysics and light, but nothing that depends on where a molecule is."""
-    have = {effect.kind for effect in model.effects}
     return [
         kind
         for kind, effect in catalogue().items()
-        if (effect.stage in ("photophysics", "illumination") or kind == "background_decay")
-        and kind not in (*ELSEWHERE, *have) and effect.considered_in(model)
-    ]  # fmt: skip
+        if (effect.stage in ("photophysics", "illumination") or kind == "background_decay") and kind not in ELSEWHERE
+    ]
 
 
 class TraceBench(Bench[TraceNumbers]):

@@ -88,7 +88,7 @@ class EMExcessNoise(Effect):
         return setup.camera.type in ("EMCCD", "CCD")  # the EM register of a camera believed a CCD may be on
 
     @classmethod
-    def considered_in(cls, setup: Setup) -> bool:
+    def common_in(cls, setup: Setup) -> bool:
         return setup.camera.type == "EMCCD"
 
     @classmethod

@@ -25,7 +25,6 @@ class IlluminationProfile(Effect):
     observables = ("level_position", "background_map")
     rivals = ("background_gradient", "brightness_heterogeneity")
     separated_by = "spot brightness against position; a flat dye slide"
-    unsearched_forms = ("beam",)
 
     edge_dimming: float = parameter(
         0.4,

@@ -20,7 +20,7 @@ class LevelSwitching(Effect):
     kind = "level_switching"
     stage = STAGE
     strength = "to_low_per_s"
-    searched = False
+    common = False
     title = "Switching between two levels"
     what_it_is = (
         "The molecule changes to and fro between its full brightness and a lower one (quenching, another form)."
@@ -83,7 +83,7 @@ class DimPopulation(Effect):
     kind = "dim_population"
     stage = STAGE
     strength = "number_ratio"
-    searched = False
+    common = False
     order = 1  # further molecules, to which nothing else happens
     title = "A second, dim population"
     what_it_is = "Many molecules shine at a fraction of the others' brightness: impurities, free dye, out of focus."
@@ -143,7 +143,7 @@ class BrightnessWander(Effect):
     kind = "brightness_wander"
     stage = STAGE
     strength = "rms"
-    searched = False
+    common = False
     order = 2  # every molecule wanders on its own, those of one spot and dim ones, too
     title = "Brightness that wanders"
     what_it_is = "Each molecule's brightness changes slowly on its own, as its orientation or surroundings do."

@@ -132,7 +132,7 @@ class Binding(Effect):
     kind = "binding"
     stage = STAGE
     strength = "unbinding_rate_per_s"
-    searched = False
+    common = False
     order = -1  # what becomes of molecules happens to those that come later, too
     title = "Molecules that bind and leave"
     what_it_is = "Molecules leave the surface after some time, and others from the solution bind at other places."

@@ -123,7 +123,7 @@ class BackgroundAsMeasured(Effect):
     kind = "background_as_measured"
     stage = STAGE
     strength = "share"
-    searched = False
+    common = False
     title = "Background as measured"
     what_it_is = "Stray and out-of-focus light of whatever shape and course the movie shows."
     what_it_does = (
@@ -172,7 +172,7 @@ class PSFHalo(Effect):
     kind = "psf_halo"
     stage = STAGE
     strength = "share"
-    searched = False
+    common = False
     title = "PSF with a halo"
     what_it_is = "Aberrations or scattering put part of each molecule's light into a wide halo around its spot."
     what_it_does = "Spots have faint skirts beyond the core; their light is all there, their peaks are lower."

@@ -23,7 +23,7 @@ class SerialReadout(Effect):
     kind = "serial_readout"
     stage = STAGE
     strength = "share"
-    searched = False
+    common = False
     title = "Read-out that mixes neighbours"
     what_it_is = "The amplifier has not settled, or swings back, when the next pixel of the row is read."
     what_it_does = (
@@ -84,7 +84,7 @@ class FrameBaseline(Effect):
     kind = "frame_baseline"
     stage = STAGE
     strength = "rms_adu"
-    searched = False
+    common = False
     title = "Baseline that differs between frames"
     what_it_is = "The camera's offset is not the same in every frame: it alternates between two values, or jitters."
     what_it_does = "Whole frames are a little higher or lower, in light and dark, at the same noise."
@@ -119,7 +119,7 @@ class ConverterCodes(Effect):
     kind = "converter_codes"
     stage = STAGE
     strength = "unevenness"
-    searched = False
+    common = False
     title = "Uneven codes of the converter"
     what_it_is = "The steps of the analogue-to-digital converter are not equally wide."
     what_it_does = (

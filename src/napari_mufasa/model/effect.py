@@ -55,8 +55,8 @@ class Effect(Values):
     observables : prefixes of the observables it moves most
     rivals : kinds it is easily confused with
     separated_by : the extra measurement that separates them
-    searched : whether a diagnosis considers it when no effects are named (see `considered_in`)
-    unsearched_forms : forms that such a diagnosis does not try
+    common : whether a diagnosis considers it from the start (see `common_in`); the others are considered where the
+        common ones leave a model off its floor
     order : effects are applied in the model's order, those of a lower number before. What adds molecules that others
         shall act on comes first (−1), what adds molecules of another kind last (1), what acts on all of them later (2)
     """
@@ -72,8 +72,7 @@ class Effect(Values):
     observables: ClassVar[tuple[str, ...]] = ()
     rivals: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
-    searched: ClassVar[bool] = True
-    unsearched_forms: ClassVar[tuple[str, ...]] = ()
+    common: ClassVar[bool] = True
     order: ClassVar[int] = 0
 
     def apply(self, scene: Any, rng: np.random.Generator) -> None:
@@ -86,9 +85,9 @@ class Effect(Values):
         return True
 
     @classmethod
-    def considered_in(cls, setup: Setup) -> bool:
-        """Whether a diagnosis of this set-up considers the effect when no effects are named."""
-        return cls.searched and cls.suits(setup)
+    def common_in(cls, setup: Setup) -> bool:
+        """Whether a diagnosis of this set-up considers the effect from the start."""
+        return cls.common and cls.suits(setup)
 
     @classmethod
     def none_at(cls, setup: Setup) -> float:

@@ -94,7 +94,7 @@ class Suspects(QWidget):
         return None if ticked == [kind for kind in self.list.rows if self._unasked(kind)] else tuple(ticked)
 
     def _unasked(self, kind: str) -> bool:
-        return catalogue()[kind].considered_in(self.session.model)
+        return catalogue()[kind].common_in(self.session.model)
 
     def _tick(self, ticked: bool) -> None:
         for item in self.list.rows.values():
