@@ -173,14 +173,15 @@ class Investigation(Standing):
             effect = next(e for e in stand.state.model.effects if e.kind == kind)
             if not stand.content and (others := [e for e in _each_form(effect) if e.chosen != effect.chosen]):
                 tries.append(begun(stand.library, without, others, stand.x))
-            tries.sort(key=lambda state: state.misfit(stand.x))
+            tries.sort(key=lambda state: state.surprise(stand.x))
             behind = {t.model.effects[-1].kind: t.misfit(stand.x) - stand.misfit for t in tries}
             if near := {k: by for k, by in behind.items() if k != kind and by < NEAR}:
                 self.stands[-1] = stand = stand.confirming(kind, replace(worth, rivals=near))
-            if tries and tries[0].misfit(stand.x) < stand.misfit + (0.0 if stand.content else 2 * NEAR):
+            surprise = stand.state.surprise(stand.x)
+            if tries and tries[0].surprise(stand.x) < surprise + (0.0 if stand.content else 2 * NEAR):
                 self._settle(tries[0])
                 other = self.stands.pop()
-                if other.state.score(stand.x) < stand.state.score(stand.x) - NEAR and other.error < stand.error:
+                if other.state.surprise(stand.x) < surprise - NEAR and other.error < stand.error:
                     self.stands[-1] = other
                     return True
         return False

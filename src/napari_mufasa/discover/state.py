@@ -19,6 +19,7 @@ from napari_mufasa.observe import PARTS
 
 Array = NDArray[np.float64]
 TAKEN = 1.5  # how far the strength of a lead that is taken up may move, in its own size
+HALVES = ((PARTS.index("white"), PARTS.index("black")), (PARTS.index("black"), PARTS.index("white")))  # fit, held out
 SCALES = (0.12, 0.25, 0.45, 0.7, 1.0, 1.4)
 
 
@@ -96,9 +97,7 @@ class State:
 
     def held_out_error(self, x: Array) -> float:
         """rms whitened residual of each half of the field, free values fitted on the other half."""
-        white, black = PARTS.index("white"), PARTS.index("black")
-        squares = [self._held_out(x, fit, held) for fit, held in ((white, black), (black, white))]
-        return float(np.sqrt(np.mean([square[self.measurable] for square in squares])))
+        return float(np.sqrt(np.mean([self._held_out(x, fit, held)[self.measurable] for fit, held in HALVES])))
 
     def _held_out(self, x: Array, fit: int, held: int) -> Array:
         """Squares of the whitened residuals of one half, free values fitted on the other."""
@@ -129,8 +128,17 @@ class State:
 
     def score(self, x: Array) -> float:
         """−2 log likelihood, up to a constant all models share."""
-        spread = self.spread[0][self.measurable]
-        return self.misfit(x) + 2 * float(np.log(spread).sum() - np.linalg.slogdet(self.whiten[0])[1])
+        return self.misfit(x) + self._log_volume(0)
+
+    def surprise(self, x: Array) -> float:
+        """The score, and that of each half of the field as predicted from the other (their mean): two models that make
+        the same of the whole may differ in what they make of its parts."""
+        halves = [self._held_out(x, fit, held).sum() + self._log_volume(held) for fit, held in HALVES]
+        return self.score(x) + float(np.mean(halves))
+
+    def _log_volume(self, part: int) -> float:
+        spread = self.spread[part][self.measurable]
+        return 2 * float(np.log(spread).sum() - np.linalg.slogdet(self.whiten[part])[1])
 
     def screen(self, x: Array, rays: dict[str, list[Ray]], taken: Sequence[Lead] = ()) -> dict[str, list[Lead]]:
         """Per effect: the largest fall of chi² along any ray of each of its forms, best form first.
