@@ -8,7 +8,6 @@ from typing import Any
 from napari_mufasa import checks
 from napari_mufasa.discover.investigation import Investigation, TraceInvestigation
 from napari_mufasa.discover.result import Report
-from napari_mufasa.discover.rules import FORM_FIRST
 from napari_mufasa.effects import Effect
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
@@ -105,13 +104,13 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         leads = stand.promising(but) if stand.alarmed or known else []
         if max_effects is not None:
             leads = leads[: max(max_effects - len(known), 0)]
-        little = known and (not leads or leads[0][0].gain < FORM_FIRST * (inquiry.first.misfit - stand.misfit))
-        if (little or not leads) and inquiry.widen():
+        if (known or not leads) and inquiry.widen():
             continue
-        if little and inquiry.exchange(rivals=not leads):
+        apart = [forms for forms in leads if not known or stand.stands_apart(forms[0])]
+        if known and not apart and inquiry.exchange(rivals=not leads):
             pass
-        elif leads and inquiry.affords(len(leads)):
-            inquiry.take_up(leads)
+        elif leads and inquiry.affords(len(apart or leads)):
+            inquiry.take_up(apart or leads)
         else:
             break
         dropped = inquiry.prune()

@@ -39,7 +39,7 @@ def settled(library: Library, state: State, x: Array, kinds: Sequence[str], most
     others = [kind for kind in kinds if kind not in added]
     left = most - neighbourhood.expected_simulations(others, len(state.free), model)
     model = descended(library, state, model, x, left)
-    return neighbourhood.build(library.bench, model, others, added, state.values)
+    return neighbourhood.build(library.bench, model, others, added, state.values, library.rays)
 
 
 def settling_simulations(library: Library, kinds: Sequence[str], n_free: int, model: Model) -> int:

@@ -7,7 +7,7 @@ fit (`fit.fit_effect`) decides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,6 +29,7 @@ BASE_SIMULATIONS = 60
 CHECK_SIMULATIONS = 12  # fresh seeds that no mean, spread or correlation has seen
 CHECK_SEED = 5_000
 PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of the range
+RENEWED = 10  # effects whose settings are simulated anew at a further stand: those that promise most by the last ones
 RAYS = 4  # settings of each effect, plus one for each shape parameter
 
 
@@ -96,8 +97,10 @@ def build(
     kinds: Sequence[str],
     added: Sequence[str] = (),
     values: Sequence[Nuisance] | None = None,
+    last: Mapping[str, list[Ray]] | None = None,
 ) -> Library:
-    """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks.
+    """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks; where
+    those of the `last` stand are known, of the most promising ones only.
 
     Free are its nuisance values (`values`, which know where they started; None: here) and the parameters of the
     effects that were `added`, but for those that are read off the movie; effects of the model believed stay as they
@@ -124,7 +127,11 @@ def build(
     base = _with_noise_of(replace(bare, slopes=slopes), rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
     library = Library(bench, base, rows, {})
-    return with_rays(library, kinds)
+    known = {kind: last[kind] for kind in kinds if kind in last} if last else {}
+    promise = {kind: leads[0].gain for kind, leads in base.screen(bench.x, known).items()}
+    dull = sorted(promise, key=lambda kind: -promise[kind])[RENEWED:]
+    library = replace(library, rays={kind: known[kind] for kind in dull})
+    return with_rays(library, [kind for kind in kinds if kind not in dull])
 
 
 def with_rays(library: Library, kinds: Sequence[str]) -> Library:
@@ -169,7 +176,7 @@ def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -
 
 
 def expected_simulations(kinds: Sequence[str], n_free: int, model: Model) -> int:
-    """How many simulations `build` makes."""
+    """How many simulations `build` makes at most."""
     return BASE_SIMULATIONS + CHECK_SIMULATIONS + SLOPE_SEEDS * n_free + ray_simulations(kinds, model)
 
 

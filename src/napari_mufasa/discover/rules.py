@@ -23,14 +23,14 @@ OFF = 3.0  # an observable farther off than so many standard deviations is faili
 PLAIN = 15.0  # −2 log likelihood by which another form must be better than the plain one (noise of judging: about 5)
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 BESIDE = 0.4  # of the best lead's evidence: what stands out less waits until that one is in the model
-FORM_FIRST = 0.1  # of the misfit explained so far: leads that promise less wait until the forms of what is in the model
-# have been tried, for what they leave is also the error of their form
+FORM_FIRST = 0.1  # of the misfit explained so far: leads that promise less and move what it moved wait until the forms
+# of what is in the model have been tried, for what they leave is also the error of their form
 RIVAL = 0.5  # of what an effect is worth: what would explain so much of it in its place is tried there
 SHAPE = 0.03  # of the evidence of all others: an effect that moves what they moved must be worth so much more, for
 # what they leave is also the error of their form
 
 # The budget of simulations ----------------------------------------------------------------------------------
 BUDGET = 4_000  # simulations of a movie of ordinary size …
-BUDGET_VALUES = 16_000_000_000  # … and pixels times frames of all simulations together, whichever is less
+BUDGET_VALUES = 30_000_000_000  # … and pixels times frames of all simulations together, whichever is less
 AT_ONCE = 4  # effects taken up together
 DESCENTS = 4  # steps downhill, each with derivatives of its own

@@ -13,7 +13,7 @@ from napari_mufasa.discover import joint
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.null import Null
-from napari_mufasa.discover.rules import ALARM, AT_ONCE, BESIDE, CONTENT, FURTHER, MISFIT_ALARM, SHAPE
+from napari_mufasa.discover.rules import ALARM, AT_ONCE, BESIDE, CONTENT, FORM_FIRST, FURTHER, MISFIT_ALARM, SHAPE
 from napari_mufasa.discover.state import Lead, State
 
 Array = NDArray[np.float64]
@@ -114,16 +114,17 @@ class Stand:
         found = {}
         for kind, state in states.items():
             others = sum(max(e, 0.0) for k, e in evidence.items() if k != kind)
-            needed = max(self.null.evidence.at(FURTHER), self._shared(state) * SHAPE * others)
+            shared = _shared(self.state.mean - state.mean, state.mean - self.first.mean, self.state.spread)
+            needed = max(self.null.evidence.at(FURTHER), shared * SHAPE * others)
             found[kind] = known.get(kind) or Worth(evidence[kind], state.held_out_error(self.x), needed)
         return found
 
-    def _shared(self, without: State) -> float:
-        """How much of what an effect moves the others have moved without it, 0 … 1."""
-        spread = self.state.spread[0]
-        moves = np.square((self.state.mean - without.mean)[0] / spread)
-        moved = (without.mean - self.first.mean)[0] / self.first.spread[0]
-        return float((moves * moved**2 / (1.0 + moved**2)).sum() / max(moves.sum(), 1e-9))
+    def stands_apart(self, lead: Lead) -> bool:
+        """Does it promise more than what the form of the effects in the model may have left, so far as it moves what
+        they moved?"""
+        moved = self.state.mean - self.first.mean
+        shared = _shared(lead.scale * lead.ray.shift, moved, self.state.spread)
+        return lead.gain > shared * FORM_FIRST * (self.first.misfit(self.x) - self.misfit)
 
     def is_worth(self, worth: Worth) -> bool:
         """Does an effect earn its place: enough evidence, and a lower held-out error?
@@ -165,3 +166,9 @@ class Stand:
             finite = FINITE * abs(float(getattr(effects[kind], name)))
             found[kind][name] = float(np.hypot(coordinate.sd(effects[kind], float(sd)), finite))
         return found
+
+
+def _shared(moves: Array, moved: Array, spread: Array) -> float:
+    """How much of what an effect moves, others have moved already, 0 … 1."""
+    moves, moved = np.square(moves[0] / spread[0]), np.square(moved[0] / spread[0])
+    return float((moves * moved / (1.0 + moved)).sum() / max(moves.sum(), 1e-9))
