@@ -107,13 +107,16 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         if (known or not leads) and inquiry.widen():
             continue
         apart = [forms for forms in leads if not known or stand.stands_apart(forms[0])]
+        leads = apart or leads
+        dropped: set[str] = set()
         if known and not apart and inquiry.exchange(rivals=not leads):
             pass
-        elif leads and inquiry.affords(len(apart or leads)):
-            inquiry.take_up(apart or leads)
+        elif leads and inquiry.affords(len(leads)):
+            inquiry.take_up(leads)
+            dropped = {forms[0].ray.effect.kind for forms in leads} - set(inquiry.chosen)
         else:
             break
-        dropped = inquiry.prune()
+        dropped |= inquiry.prune()
         dismissed |= {kind: known | set(inquiry.chosen) | dropped for kind in dropped}
     if inquiry.chosen and inquiry.stand.content:
         inquiry.exchange()

@@ -91,6 +91,13 @@ def model_at(model: Model, values: Sequence[Nuisance], free: Sequence[str], move
     return model.model_copy(update={"effects": tuple(effects.values())})
 
 
+def is_next_to_none(effect: Effect, model: Model) -> bool:
+    """Is the effect's strength far below what is plausible of it?"""
+    low, high, log = type(effect).plausible(model)[effect.strength]
+    strength = abs(float(getattr(effect, effect.strength)) - effect.none_at(model))
+    return strength < (low / 5 if log else (high - low) / 50)
+
+
 def changed(effect: Effect, values: dict[str, Any], **choices: str) -> Effect:
     """The effect with parameters changed, kept within their hard limits, and with other choices of form."""
     data = {name: value for name, value in effect.model_dump().items() if name != "kind"} | choices

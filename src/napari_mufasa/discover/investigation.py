@@ -114,13 +114,13 @@ class Investigation(Standing):
         self._settle(state)
 
     def take_up(self, leads: Sequence[Sequence[Lead]]) -> None:
-        """Fit promising effects into the model together."""
+        """Fit promising effects into the model together; those that come to next to none stay out."""
         stand = self.stand
         self.bench.plan(len(leads) * SIMULATIONS + self._settling(len(leads)))
         state = stand.state
         for forms in leads:
             state = started(stand.library, state, forms, stand.x)
-        self._settle(state)
+        self._settle(state, [forms[0].ray.effect.kind for forms in leads])
 
     def remove(self, kind: str) -> None:
         """Take one effect out; the others are fitted anew."""
@@ -206,10 +206,10 @@ class Investigation(Standing):
         common = [kind for kind in kinds if named is not None or effect_class(kind).common_in(self.believed)]
         self.kinds, self.further = common, [kind for kind in kinds if kind not in common]
 
-    def _settle(self, state: State) -> None:
+    def _settle(self, state: State, on_trial: Sequence[str] = ()) -> None:
         """All free values fitted together, and the neighbourhood simulated anew: a further stand."""
         last = self.stand
-        near = joint.settled(last.library, state, last.x, self.kinds, self.left)
+        near = joint.settled(last.library, state, last.x, self.kinds, self.left, on_trial)
         added = tuple(effect.kind for effect in near.base.model.effects if effect.kind in self.kinds)
         order = [k for k in last.added if k in added] + [k for k in added if k not in last.added]
         self.stands.append(Stand(near, tuple(order), last.x, last.null, self.first.state))

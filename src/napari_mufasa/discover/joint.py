@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import library as neighbourhood
 from napari_mufasa.discover import nuisance
+from napari_mufasa.discover.coordinates import is_next_to_none
 from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.rules import DESCENTS
@@ -28,9 +29,12 @@ NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
 REMOVALS = 6  # simulations of a model without one of its effects
 
 
-def settled(library: Library, state: State, x: Array, kinds: Sequence[str], most: int) -> Library:
+def settled(
+    library: Library, state: State, x: Array, kinds: Sequence[str], most: int, on_trial: Sequence[str] = ()
+) -> Library:
     """The neighbourhood of the state's model once all its free values are brought to the measurement x (part,
-    observable) together; rays are those of `kinds` that it lacks. About `most` simulations are spent, at least those
+    observable) together; rays are those of `kinds` that it lacks. Effects `on_trial`
+    that come to next to none go from the model. About `most` simulations are spent, at least those
     of the neighbourhood."""
     model = state.model_at(state.adjusted(x).moves)
     if state.far_off(x):
@@ -39,6 +43,11 @@ def settled(library: Library, state: State, x: Array, kinds: Sequence[str], most
     others = [kind for kind in kinds if kind not in added]
     left = most - neighbourhood.expected_simulations(others, len(state.free), model)
     model = descended(library, state, model, x, left)
+    stay = [e for e in model.effects if e.kind not in on_trial or not is_next_to_none(e, model)]
+    if len(stay) < len(model.effects):
+        model = model.model_copy(update={"effects": tuple(stay)})
+        added = [effect.kind for effect in stay if effect.kind in added]
+        others = [kind for kind in kinds if kind not in added]
     return neighbourhood.build(library.bench, model, others, added, state.values, library.rays)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -89,18 +89,26 @@ class Stand:
         return by_effect or self.null.misfit.p(self.misfit) < MISFIT_ALARM
 
     def promising(self, but: set[str]) -> list[list[Lead]]:
-        """The effects that explain the misfit together, each beside those before it: their forms, the best first."""
+        """The effects that explain the misfit together, each beside those before it: their forms, the best first. One
+        that moves what those before it move, and promises much less than the best, waits until they are in."""
         found: list[list[Lead]] = []
         rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in but}
         while rays and len(found) < AT_ONCE:
             leads = self.state.screen(self.x, rays, [forms[0] for forms in found])
-            kind = max(leads, key=lambda k: leads[k][0].gain)
-            least = max(self.needed, BESIDE * found[0][0].gain if found else 0.0)
-            if leads[kind][0].gain <= least:
+            least = {kind: self._least(forms[0], [f[0] for f in found]) for kind, forms in leads.items()}
+            if not (clear := [k for k, forms in leads.items() if forms[0].gain > least[k]]):
                 break
+            kind = max(clear, key=lambda k: leads[k][0].gain)
             found.append(leads[kind])
             del rays[kind]
         return found
+
+    def _least(self, lead: Lead, taken: Sequence[Lead]) -> float:
+        """What a lead must promise beside those that are taken up already."""
+        if not taken:
+            return self.needed
+        moved = np.sum([other.shift for other in taken], axis=0)
+        return max(self.needed, _shared(lead.shift, moved, self.state.spread) * BESIDE * taken[0].gain)
 
     @cached_property
     def worths(self) -> dict[str, Worth]:
@@ -123,7 +131,7 @@ class Stand:
         """Does it promise more than what the form of the effects in the model may have left, so far as it moves what
         they moved?"""
         moved = self.state.mean - self.first.mean
-        shared = _shared(lead.scale * lead.ray.shift, moved, self.state.spread)
+        shared = _shared(lead.shift, moved, self.state.spread)
         return lead.gain > shared * FORM_FIRST * (self.first.misfit(self.x) - self.misfit)
 
     def is_worth(self, worth: Worth) -> bool:

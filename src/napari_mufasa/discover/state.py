@@ -45,6 +45,11 @@ class Lead:
         """Whether the ray ends there: a stronger effect may promise more."""
         return abs(self.scale) == max(SCALES)
 
+    @property
+    def shift(self) -> Array:
+        """What it does to the observables (part, observable)."""
+        return self.scale * self.ray.shift
+
     def start(self) -> Effect:
         """The ray's effect at the strength the lead stands at, within hard limits."""
         return scaled(self.ray.effect, self.scale, self.ray.none)
@@ -149,8 +154,8 @@ class State:
         spread = self.spread[0]
         mean, slopes, prior, room = self.mean[0], self.slopes[0], self.prior, self.room
         for lead in taken:
-            mean = mean + lead.scale * lead.ray.shift[0]
-            slopes = np.column_stack([slopes, lead.scale * lead.ray.shift[0]])
+            mean = mean + lead.shift[0]
+            slopes = np.column_stack([slopes, lead.shift[0]])
             prior, room = np.append(prior, TAKEN / 2), np.column_stack([room, [-TAKEN, TAKEN]])
         start = adjust(x[0], mean, spread, slopes, prior, room, w)
         # Locally linear: directions of free values are projected out of residual and rays alike.
