@@ -58,7 +58,7 @@ class ToyBench:
     def free_values(self, model):
         return list(self.values)
 
-    def read_off(self, kind):
+    def read_off(self, kind, beside=None):
         return {}
 
     def matched(self, model):
@@ -243,7 +243,7 @@ def test_no_more_is_spent_than_may_be():
 class ReadingBench(ToyBench):
     """The measurement shows the electrons directly, whatever a fit would say."""
 
-    def read_off(self, kind):
+    def read_off(self, kind, beside=None):
         return {"electrons": 12.0} if kind == "hot_pixels" else {}
 
 

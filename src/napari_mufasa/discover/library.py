@@ -144,7 +144,7 @@ def _rays(library: Library, kinds: Sequence[str]) -> dict[str, list[Ray]]:
     jobs: list[tuple[Effect, int]] = []
     for kind in kinds:
         settings = ray_settings(catalogue()[kind], model, np.random.default_rng([bench.seed, *kind.encode()]))
-        seen = bench.read_off(kind)
+        seen = bench.read_off(kind, model)
         jobs += [(changed(setting, seen), i % 8) for i, setting in enumerate(settings)]
     found = library.simulated([(library.beside(library.base, effect), number) for effect, number in jobs])
     rays: dict[str, list[Ray]] = {kind: [] for kind in kinds}

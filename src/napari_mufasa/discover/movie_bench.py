@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from functools import cached_property
 from hashlib import blake2b
 from typing import Any
 
 import numpy as np
 
+from napari_mufasa.calibrate.codes import code_widths
 from napari_mufasa.discover import curves, nuisance
 from napari_mufasa.discover.bench import Bench, as_table
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.read_off import read_off
+from napari_mufasa.discover.read_off import background_beyond, read_off
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
@@ -22,6 +24,7 @@ from napari_mufasa.simulate.movie import simulate, simulate_dark
 CAMERA_STAGE = "camera"
 MATCHING_SEED = 10_000
 MATCHING_ROUNDS = 4
+BEYOND_SEED, BEYOND = 20_000, 3  # simulations that tell what a model shows already
 FEWEST_MOLECULES = 3
 
 
@@ -39,6 +42,7 @@ class MovieBench(Bench[Observation]):
     ) -> None:
         self.measurement = measurement
         self._dark: dict[Hashable, DarkView] = {}
+        self._beyond: dict[str, dict[str, Any]] = {}
         self._eyes = measurement.model  # the same eyes for all: units and PSF width believed
         measured = observe(measurement.movie, self._eyes, measurement.dark)
         if measured.spots.inside.sum() < FEWEST_MOLECULES:
@@ -80,8 +84,24 @@ class MovieBench(Bench[Observation]):
             model = nuisance.moment_step(model, measured, as_table(self.names, rows[:, 0].mean(axis=0)))
         return model
 
-    def read_off(self, kind: str) -> dict[str, Any]:
+    def read_off(self, kind: str, beside: Model | None = None) -> dict[str, Any]:
+        if kind == "converter_codes":
+            return {"widths": self._code_widths}
+        if kind == "background_as_measured":
+            return self._background_beyond(beside or self.start)
         return read_off(kind, self.measured)
+
+    @cached_property
+    def _code_widths(self) -> tuple[float, ...]:
+        dark = self.measurement.dark
+        return code_widths([self.measurement.movie, *(() if dark is None else (dark,))])
+
+    def _background_beyond(self, model: Model) -> dict[str, Any]:
+        key = model.model_dump_json()
+        if key not in self._beyond:
+            shown = self.observations([(model, BEYOND_SEED + k) for k in range(BEYOND)])
+            self._beyond[key] = background_beyond(self.measured, shown)
+        return self._beyond[key]
 
     def curves(self, before: Sequence[Observation], after: Sequence[Observation]) -> list[Curve]:
         return curves.draw(self.measured, before, after, self.start.acquisition.interval_s)

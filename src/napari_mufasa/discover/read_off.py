@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import pywt
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -29,6 +30,7 @@ RELIEF = (
 # 0.42 at most in 20 000 draws, on 6 × 6 tiles one in 80 passes
 PATH_VALUES, PRECISE_PX = 30, 0.03  # most values of a path, and how precise each should be
 FIFTHS = 5
+NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variate
 
 
 def read_off(kind: str, observation: Observation) -> dict[str, Any]:
@@ -106,12 +108,44 @@ def relief(observation: Observation) -> dict[str, Any]:
     nothing = {"seen": (), "seen_columns": 1}
     if known.sum() < FEWEST_TILES:
         return nothing
-    weight = ndimage.gaussian_filter(known.astype(float), 1.0, mode="nearest")
-    smooth = ndimage.gaussian_filter(np.where(known, tiles, 0.0), 1.0, mode="nearest") / np.maximum(weight, 1e-9)
+    smooth = smoothed(tiles)
     if smooth[known].var() < RELIEF * (tiles - smooth)[known].var():
         return nothing
     height = (smooth - smooth.min()) / np.ptp(smooth)
     return {"seen": tuple(height.ravel().round(4).tolist()), "seen_columns": tiles.shape[1]}
+
+
+def smoothed(tiles: Array) -> Array:
+    """A map without the noise of its tiles, unknown ones (NaN) filled from their neighbours."""
+    known = np.isfinite(tiles)
+    weight = ndimage.gaussian_filter(known.astype(float), 1.0, mode="nearest")
+    values = ndimage.gaussian_filter(np.where(known, tiles, 0.0), 1.0, mode="nearest")
+    smooth: Array = values / np.maximum(weight, 1e-9)
+    return smooth
+
+
+def background_beyond(observation: Observation, model: Sequence[Observation]) -> dict[str, Any]:
+    """`map`, `map_columns` and `course` of the background, relative to what simulations of a model show of it."""
+    found: dict[str, Any] = {"map": (), "map_columns": 1, "course": ()}
+    expected = np.mean([one.course for one in model], axis=0)
+    course = _without_flicker(observation.course / expected)
+    found["course"] = tuple((course / course.mean()).round(4).tolist())
+    maps = [smoothed(one.background_map) for one in model if np.isfinite(one.background_map).sum() >= FEWEST_TILES]
+    if np.isfinite(observation.background_map).sum() >= FEWEST_TILES and maps:
+        relative = smoothed(observation.background_map) / np.mean(maps, axis=0)
+        found["map"] = tuple((relative / relative.mean()).round(4).ravel().tolist())
+        found["map_columns"] = relative.shape[1]
+    return found
+
+
+def _without_flicker(course: Array) -> Array:
+    """A course without what changes from frame to frame: Haar coefficients within the noise of the finest are none
+    (the universal threshold of Donoho and Johnstone, Biometrika 81, 425, 1994)."""
+    coarse, *fine = pywt.wavedec(course, "haar")
+    noise = np.median(np.abs(fine[-1])) / NORMAL_MEDIAN
+    least = noise * np.sqrt(2 * np.log(len(course)))
+    kept: Array = pywt.waverec([coarse, *(pywt.threshold(c, least, "hard") for c in fine)], "haar")[: len(course)]
+    return kept
 
 
 def common_path(observation: Observation) -> dict[str, Any]:

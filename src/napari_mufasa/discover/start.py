@@ -34,7 +34,7 @@ def started(library: Library, state: State, leads: Sequence[Lead], x: Array) -> 
     measurement x (part, observable). `leads`: what its forms promise, the best first."""
     best, *others = leads
     worth = [best, *(lead for lead in others if lead.gain > FORM_WORTH * best.gain or lead.may_be_stronger)]
-    seen = library.bench.read_off(best.ray.effect.kind)
+    seen = library.bench.read_off(best.ray.effect.kind, state.model)
     starts = [changed(lead.start(), seen) for lead in worth]
     plain = type(starts[0])().chosen
     found = [begun(library, state, starts, x)]
