@@ -11,7 +11,7 @@ from napari_mufasa.discover.automatic import play
 from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.nuisance import nuisances
-from napari_mufasa.effects import effect_class
+from napari_mufasa.effects import catalogue, effect_class
 
 KINDS = ["laser_drift", "row_noise", "background_gradient", "photobleaching"]
 HIDDEN = (
@@ -99,6 +99,39 @@ def test_effects_are_added_together_taken_out_singly_and_undone(inquiry):
     assert inquiry.chosen == [] and inquiry.stand.error == before
     with pytest.raises(nm.MufasaError, match="nothing to undo"):
         inquiry.undo()
+
+
+def test_uncommon_effects_are_considered_where_the_others_leave_the_model_off_its_floor():
+    """Unless the user has named what to consider."""
+    movie = nm.simulate(small(), seed=5).movie
+    inquiry = Investigation(movie, small(), seed=2)
+    assert {"frame_baseline", "dim_population"} <= set(inquiry.further) and "laser_drift" in inquiry.kinds
+    assert set(inquiry.kinds) | set(inquiry.further) == set(catalogue()) and not set(inquiry.kinds) & set(
+        inquiry.further
+    )
+    named = investigation()
+    assert named.further == []
+    named.examine()
+    assert not named.widen()
+    named.further = ["frame_baseline"]
+    assert named.widen() and named.kinds == [*KINDS, "frame_baseline"] and named.further == []
+    assert set(named.stand.library.rays) == set(named.kinds) and not named.widen()
+    near = Investigation(movie, small(), seed=2, effects=KINDS[:1])
+    near.examine()
+    near.further = ["frame_baseline"]
+    assert not near.widen() and near.kinds == KINDS[:1]
+
+
+def test_what_comes_to_next_to_none_stays_out_unless_a_user_asked_for_it():
+    movie = nm.simulate(small(), seed=5).movie
+    inquiry = Investigation(movie, small(), seed=2, effects=["molecule_diffusion"])
+    inquiry.examine()
+    leads = inquiry.stand.leads["molecule_diffusion"]
+    inquiry.take_up([leads])
+    assert inquiry.chosen == [] and not inquiry.model.effects
+    inquiry.undo()
+    inquiry.add("molecule_diffusion")
+    assert inquiry.chosen == ["molecule_diffusion"]
 
 
 def test_no_more_than_so_many_effects_are_added():

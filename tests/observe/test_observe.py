@@ -1,12 +1,13 @@
 """The table of observables: fixed names, states of traces, parts of the field."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover.read_off import read_off
+from napari_mufasa.discover.read_off import background_beyond, read_off
 from napari_mufasa.effects.illumination import IlluminationProfile
 from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
@@ -111,6 +112,29 @@ def test_the_bright_side_is_read_off(added):
     model = small(**{"acquisition.shape_px": (96, 96)})
     seen = read_off(added.kind, observe(nm.simulate(model.with_effects(added), seed=4).movie, model))["direction_deg"]
     assert abs((seen - 200.0 + 180) % 360 - 180) < 15
+
+
+def test_the_background_beyond_a_model_is_read_off():
+    """Map and course relative to those of the model; a transient of ten frames is kept, the noise of frames is not."""
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:12, :16]
+    beyond_map = 1 + 0.2 * (x - 7.5) / 7.5
+    beyond = np.where(np.abs(np.arange(300) - 150) < 5, 1.3, 1.0)
+    model_course, model_map = 20 * np.exp(-np.arange(300) / 400), 20 + y
+
+    def seen(course, tiles):
+        return SimpleNamespace(course=course, background_map=np.where(rng.random((12, 16)) < 0.2, np.nan, tiles))
+
+    shown = [seen(model_course, model_map) for _ in range(3)]
+    course = model_course * beyond * (1 + 0.01 * rng.standard_normal(300))
+    found = background_beyond(seen(course, model_map * beyond_map + 0.1 * rng.standard_normal((12, 16))), shown)
+    got = np.array(found["course"])
+    assert np.sqrt(np.mean((got - beyond / beyond.mean()) ** 2)) < 0.01  # below that of the frames' noise
+    assert got[145:155].mean() / np.delete(got, range(140, 160)).mean() == pytest.approx(1.3, rel=0.02)
+    tiles = np.reshape(found["map"], (12, found["map_columns"]))
+    assert np.abs(tiles[:, 3:-3] - beyond_map[:, 3:-3]).max() < 0.04  # a hole is filled from one side, of slope 0.027
+    alike = background_beyond(seen(model_course, model_map), shown)
+    np.testing.assert_allclose(alike["course"], 1.0, atol=1e-3)
 
 
 def standing_apart(n_frames=120):

@@ -177,6 +177,6 @@ class Stand:
 
 
 def _shared(moves: Array, moved: Array, spread: Array) -> float:
-    """How much of what an effect moves, others have moved already, 0 … 1."""
+    """How much of what an effect moves, others have moved already as far, 0 … 1."""
     moves, moved = np.square(moves[0] / spread[0]), np.square(moved[0] / spread[0])
-    return float((moves * moved / (1.0 + moved)).sum() / max(moves.sum(), 1e-9))
+    return float(np.minimum(moves, moved).sum() / max(moves.sum(), 1e-9))
