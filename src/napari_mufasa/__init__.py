@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from napari_mufasa.compare.wasserstein import wasserstein
     from napari_mufasa.denoise import denoise, pure_let
     from napari_mufasa.design.predict import Prediction, design, predict
+    from napari_mufasa.design.solve import Solution, solve
     from napari_mufasa.discover import Investigation, Report, diagnose, diagnose_traces, refine
     from napari_mufasa.effects import Effect, catalogue
     from napari_mufasa.errors import Cancelled, MufasaError
@@ -29,7 +30,7 @@ _HOMES = {
     "calibrate": ("Calibration", "calibrate"),
     "compare": ("Comparison", "compare_movie", "compare_traces", "wasserstein"),
     "denoise": ("denoise", "pure_let"),
-    "design": ("Prediction", "design", "predict"),
+    "design": ("Prediction", "Solution", "design", "predict", "solve"),
     "discover": ("Investigation", "Report", "diagnose", "diagnose_traces", "refine"),
     "effects": ("Effect", "catalogue"),
     "errors": ("Cancelled", "MufasaError"),
@@ -42,10 +43,11 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Calibration", "Camera", "Cancelled", "Comparison", "Effect", "Investigation", "Mismatch", "Model",
-    "MufasaError", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation", "TraceSet",
+    "MufasaError", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation", "Solution",
+    "TraceSet",
     "calibrate", "catalogue", "compare_movie", "compare_traces", "denoise", "design", "diagnose",
     "diagnose_traces", "extract_traces", "mismatches", "predict", "preset", "propose_model", "pure_let", "refine",
-    "simulate", "simulate_dark", "simulate_emission", "wasserstein",
+    "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

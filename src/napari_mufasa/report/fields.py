@@ -36,6 +36,8 @@ LABELS = {
     "snr_peak_pixel": "SNR, brightest pixel",
     "snr_spot": "SNR, whole spot",
     "w1_floor_e": "W1 floor",
+    "localisation_nm": "Least error of a place",
+    "frames_before_bleaching": "Bright frames before bleaching",
 }
 
 

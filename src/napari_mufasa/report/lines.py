@@ -1,4 +1,4 @@
-"""Results in lines of text for the viewer: a comparison, a molecule, where a model fails."""
+"""Results in lines of text: a comparison, a molecule, a design that was solved, where a model fails."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.report.fields import number_text
+from napari_mufasa.report.fields import number_text, told
 
 if TYPE_CHECKING:
     from napari_mufasa.calibrate import Calibration
     from napari_mufasa.compare import Comparison
     from napari_mufasa.compare.wasserstein import Floor
+    from napari_mufasa.design.solve import Solution
 
 
 def movie_facts(name: str, shape: tuple[int, ...], dtype: Any, size_um: float | None, carried: str) -> str:
@@ -28,6 +29,26 @@ def calibration_line(found: Calibration) -> str:
         f"Measured: {found.adu_per_photoelectron} ADU per photoelectron, baseline {found.baseline_adu} ADU, "
         f"read noise {found.read_noise_adu} ADU."
     )
+
+
+def solution_lines(found: Solution) -> list[str]:
+    """Where targets of a design are met: one line for the value set, one for each target, one for all together."""
+    lines = [f"{told(found.vary.split('.')[1])} = {found.value:.4g}"]
+    for name, wanted in found.targets.items():
+        reached = getattr(found.prediction, name)
+        is_met = "met" if found.met[name] else "missed"
+        gives = "none" if reached is None else f"{reached:.4g}"
+        lines.append(f"{told(name)}: {gives}, wanted {wanted:g}: {is_met}; met at {_stretches(found.ranges[name])}")
+    if len(found.targets) > 1:
+        if found.together:
+            lines.append(f"all met at {_stretches(found.together)}")
+        else:
+            lines.append("not all at once: no value of this one number meets every target; change another one, too")
+    return lines
+
+
+def _stretches(ranges: tuple[tuple[float, float], ...]) -> str:
+    return " and ".join(f"{low:.4g} … {high:.4g}" for low, high in ranges) or "no value"
 
 
 def comparison_table(comparison: Comparison) -> str:
