@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from napari_mufasa.discover import Investigation, Report, diagnose, diagnose_traces, refine
     from napari_mufasa.effects import Effect, catalogue
     from napari_mufasa.errors import Cancelled, MufasaError
+    from napari_mufasa.infer import Photophysics, infer_photophysics
     from napari_mufasa.model import Camera, Model, Setup, preset
     from napari_mufasa.propose import Mismatch, Proposal, mismatches, propose_model
     from napari_mufasa.simulate import SimulatedAcquisition, Simulation, simulate, simulate_dark, simulate_emission
@@ -34,6 +35,7 @@ _HOMES = {
     "discover": ("Investigation", "Report", "diagnose", "diagnose_traces", "refine"),
     "effects": ("Effect", "catalogue"),
     "errors": ("Cancelled", "MufasaError"),
+    "infer": ("Photophysics", "infer_photophysics"),
     "model": ("Camera", "Model", "Setup", "preset"),
     "propose": ("Mismatch", "Proposal", "mismatches", "propose_model"),
     "simulate": ("SimulatedAcquisition", "Simulation", "simulate", "simulate_dark", "simulate_emission"),
@@ -43,11 +45,11 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Calibration", "Camera", "Cancelled", "Comparison", "Effect", "Investigation", "Mismatch", "Model",
-    "MufasaError", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation", "Solution",
-    "TraceSet",
+    "MufasaError", "Photophysics", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation",
+    "Solution", "TraceSet",
     "calibrate", "catalogue", "compare_movie", "compare_traces", "denoise", "design", "diagnose",
-    "diagnose_traces", "extract_traces", "mismatches", "predict", "preset", "propose_model", "pure_let", "refine",
-    "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
+    "diagnose_traces", "extract_traces", "infer_photophysics", "mismatches", "predict", "preset", "propose_model",
+    "pure_let", "refine", "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

@@ -40,6 +40,7 @@ VERBS = {
     "refine": {"--model", "--add", "--out"},
     "calibrate": {"--dark", "--out"},
     "propose": {"--dark", "--out"},
+    "infer": {"--model", "--out"},
     "design": {"--model"},
     "presets": set(),
 }  # fmt: skip
@@ -333,6 +334,21 @@ def test_simulate_solves_for_a_signal_to_noise(cli, model_file, tmp_path, by):
     code, out, _ = cli("simulate", "--model", model_file, "--snr", 4, "--snr-by", by, "--frames", 3, "--out", movie)
     assert code == 0 and "wanted 4: met" in out
     assert nm.predict(Model.stored_in(files.read_movie(movie).metadata)).snr_spot == pytest.approx(4)
+
+
+def test_infer_writes_the_model_of_traces(cli, model_file, tmp_path):
+    from benchmarks.inference import recorded
+
+    model = Model.from_json(model_file).with_values({"acquisition.n_frames": 60})
+    files.traces.write_trace_file(tmp_path / "t.csv", recorded(model, 30, seed=2))
+    code, out, _ = cli("infer", tmp_path / "t.csv", "--model", model_file, "--out", tmp_path / "inferred.json",
+                       "--report", tmp_path / "r.json")  # fmt: skip
+    assert code == 0 and "only as their product" in out
+    level = json.loads((tmp_path / "r.json").read_text())["values"]["level_e"]["value"]
+    assert level == pytest.approx(nm.predict(model).detected_e_per_frame, rel=0.05)
+    assert nm.predict(Model.from_json(tmp_path / "inferred.json")).detected_e_per_frame == pytest.approx(
+        level, rel=0.01
+    )
 
 
 # --- diagnose, refine ----------------------------------------------------------------------------------------

@@ -19,10 +19,11 @@ FREAK = np.exp(OUTLIER)
 def log_likelihoods(traces, levels, offset, dark_variance, extra_variance, within, between, start):  # type: ignore[no-untyped-def]
     """(molecule,) log likelihood by the forward recursion.
 
-    traces (molecule, frame) · levels (molecule,) mean of a frame that is bright throughout, above `offset` · the variance
-    is dark_variance + share · extra_variance (molecule,), and that of the shares it stands for · within (share, from, to): chance that a frame begins in one
-    state, ends in another and is bright for a share of 0, 1/n, … 1 of it · between (from, to): from a frame's end to the
-    next one's start · start (state,)
+    traces : (molecule, frame); levels : (molecule,) mean of a frame that is bright throughout, above `offset`
+    dark_variance, extra_variance : of a frame dark_variance + share · extra_variance (molecule,), and that of the
+        shares that one stands for
+    within : (share, from, to) chance that a frame begins in one state, ends in another and is bright for a share of 0,
+        1/n, … 1 of it; between : (from, to) from a frame's end to the next one's start; start : (state,)
     """
     n_molecules, n_frames = traces.shape
     n_shares, n_states = within.shape[0], within.shape[1]

@@ -20,8 +20,8 @@ RATES = ("bleaching", "off", "back", "activation")
 FACTORS = np.linspace(-0.8, 0.8, 17)  # log of a molecule's brightness over the common one, tried
 LEAST = 1e-2  # events in all traces: the least a rate can be
 MOST_PER_FRAME = 20.0
-STEP = 0.02  # of the logarithms, for second derivatives
-NUDGE = 1e-3  # for first ones
+NUDGE = 1e-6  # of the logarithms, for first derivatives: a level can be known to one in thousands
+STEP = 0.5  # standard errors, for second ones
 MOST_STEPS, ENOUGH = 60, 2e-3  # steps of a fit, and the log likelihood below which a step ends it
 
 
@@ -50,8 +50,8 @@ class Problem:
 
 @dataclass(frozen=True)
 class Fitted:
-    """names of what was fitted, their `point` (logarithms; the offset and the start as they are), its covariance between
-    molecules (0 until `with_errors`), the log likelihood; factors : (molecule,) brightness over the common one."""
+    """What was fitted: `names`, their `point` (logarithms; the offset and the start as they are), its covariance
+    between molecules (0 until `with_errors`), the log likelihood, and (molecule,) brightness over the common one."""
 
     names: tuple[str, ...]
     point: Array
@@ -106,7 +106,11 @@ def fitted(
         information = gradients @ gradients.T
         for _ in range(8):
             damped = information + damping * np.diag(np.diag(information) + 1e-6)
-            after = np.clip(point + np.clip(np.linalg.solve(damped, slope), -1, 1), low, high)
+            # What lies at its bound and would go beyond it stays; the others do not go with it.
+            free = ((point > low) | (slope > 0)) & ((point < high) | (slope < 0))
+            step = np.zeros(len(names))
+            step[free] = np.linalg.solve(damped[np.ix_(free, free)], slope[free])
+            after = np.clip(point + np.clip(step, -1, 1), low, high)
             then = each(after)
             if then.sum() >= now.sum():
                 break
@@ -114,7 +118,7 @@ def fitted(
         else:
             break
         gain, point, now, damping = float(then.sum() - now.sum()), after, then, damping / 10
-        if gain < ENOUGH:
+        if gain < ENOUGH and damping <= 1e-2:
             break
     return Fitted(names, point, np.zeros((len(names), len(names))), float(now.sum()), factors)
 
@@ -147,16 +151,20 @@ def own_factors(problem: Problem, found: Fitted) -> Array:
     return np.asarray(np.exp((own - middle_own) * spread / (spread + error)))
 
 
-def _start(problem: Problem, seen: Dynamics, rates: tuple[str, ...]) -> tuple[tuple[str, ...], Array, list[tuple]]:
+def _start(
+    problem: Problem, seen: Dynamics, rates: tuple[str, ...]
+) -> tuple[tuple[str, ...], Array, list[tuple[float, float]]]:
     """Where the fit begins: what the steps of the traces say."""
     shines = seen.on_level > 0
     level = float(np.median(seen.on_level[shines])) if shines.any() else float(problem.traces.std())
     lit, dark = problem.traces[seen.lit], problem.traces[~seen.lit]
     interval = problem.frame_s + problem.dead_s
     bright_s, dark_s = max(seen.lit.sum(), 1) * interval, max((~seen.lit).sum(), 1) * interval
-    v0 = float(np.var(dark)) if dark.size > 20 else float(np.var(lit)) / 2
-    # Differences of neighbours: the noise alone.
-    v1 = float(np.median(np.square(np.diff(problem.traces, axis=1))[seen.lit[:, 1:] & seen.lit[:, :-1]]) / 0.91)
+    # Half the squared differences of neighbours, by their median: the noise alone, whatever switches between.
+    apart = np.square(np.diff(problem.traces, axis=1)) / 0.91
+    both_lit, both_dark = seen.lit[:, 1:] & seen.lit[:, :-1], ~seen.lit[:, 1:] & ~seen.lit[:, :-1]
+    v1 = float(np.median(apart[both_lit])) if both_lit.any() else float(np.var(lit))
+    v0 = float(np.median(apart[both_dark])) if both_dark.sum() > 20 else v1 / 2
     n = len(problem.traces)
     guess = {
         "bleaching": max(int((seen.bleaching_frame >= 0).sum()), 0.5) / bright_s,
@@ -189,8 +197,10 @@ def _covariance(
     def each(at: Array) -> Array:
         return problem.log_likelihoods(*unpacked(names, at), factors)
 
-    steps = np.array([STEP * (min(1.0, high - low)) if name != "offset" else 2e-3
-                      for name, (low, high) in zip(names, bounds, strict=True)])  # fmt: skip
+    now = each(point)
+    slopes = np.array([(each(point + u) - now) / NUDGE for u in NUDGE * np.eye(len(names))])
+    sure = np.sum((slopes - slopes.mean(axis=1, keepdims=True)) ** 2, axis=1)
+    steps = np.clip(STEP / np.sqrt(np.maximum(sure, 1e-9)), 1e-5, 0.1)
     # A number that lies at its bound is not known; it must not spoil the others.
     free = np.array([low + 0.05 < p < high - 0.05 or name == "offset"
                      for p, name, (low, high) in zip(point, names, bounds, strict=True)])  # fmt: skip
@@ -198,7 +208,7 @@ def _covariance(
     plus, minus = [each(point + u) for u in unit], [each(point - u) for u in unit]
     gradients = np.array([(p - m) / 2 for p, m in zip(plus, minus, strict=True)])
     gradients = gradients - gradients.mean(axis=1, keepdims=True)
-    middle = float(each(point).sum())
+    middle = float(now.sum())
     k = int(free.sum())
     curvature = np.empty((k, k))
     for i in range(k):

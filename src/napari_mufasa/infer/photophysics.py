@@ -210,9 +210,9 @@ def _limit(best: Fitted, problem: Problem) -> str:
 
 def _cannot_be_told(model: Model, best: Fitted) -> list[str]:
     said = [
-        "ε, power, wavelength, collection, quantum yield and quantum efficiency show only as their product, photons per "
-        "frame: k01 holds for those believed, and with it N_c and α_isc, of which only the rates while bright are seen",
-        "a molecule that is dark when the movie ends may come back: dark times longer than the movie count as bleaching",
+        "ε, power, wavelength, collection, quantum yield and quantum efficiency show only as their product, photons "
+        "per frame: k01 holds for those believed, and with it N_c and α_isc, of which only rates while bright are seen",
+        "a molecule that is dark at the end may come back: dark times longer than the movie count as bleaching",
     ]
     if best.has("off"):
         said.append(
