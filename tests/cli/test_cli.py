@@ -336,6 +336,15 @@ def test_simulate_solves_for_a_signal_to_noise(cli, model_file, tmp_path, by):
     assert nm.predict(Model.stored_in(files.read_movie(movie).metadata)).snr_spot == pytest.approx(4)
 
 
+def test_diagnose_notes_a_model_that_cannot_be_the_movies(cli, movie_file, model_file, tmp_path, told):
+    other = Model.from_json(model_file).with_values({"camera.baseline_adu": 900.0})
+    other.to_json(tmp_path / "other.json")
+    code, _, err = cli("diagnose", movie_file, "--model", tmp_path / "other.json", "--out", tmp_path / "d")
+    assert code == 0 and "darkest pixels" in err and "propose" in err
+    code, _, err = cli("diagnose", movie_file, "--model", model_file, "--out", tmp_path / "e")
+    assert code == 0 and "may not belong" not in err
+
+
 def test_infer_writes_the_model_of_traces(cli, model_file, tmp_path):
     from benchmarks.inference import recorded
 
