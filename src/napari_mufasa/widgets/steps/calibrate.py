@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from qtpy.QtCore import QTimer
-
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.measure import CameraType
 from napari_mufasa.files.layers import measurement_of
@@ -17,7 +15,7 @@ from napari_mufasa.widgets.parts.forms import PartEditor, widget_of
 from napari_mufasa.widgets.parts.model_edit import ModelEdit
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
-from napari_mufasa.widgets.parts.pieces import Words, button, into_view, section
+from napari_mufasa.widgets.parts.pieces import Words, button, into_view, section, timer
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.propose import propose
 from napari_mufasa.widgets.turns.session import Session
@@ -117,7 +115,7 @@ class CameraPanel(Panel):
         self.session.set_model(found.model, f"proposed from {layer.name if layer is not None else 'the movie'}")
         self.result.say(proposal_lines(found))
         self._show(found.calibration)
-        QTimer.singleShot(0, self.result, lambda: into_view(self.result))  # once it has its place
+        timer(self, 50, lambda: into_view(self.result)).start()  # once it has its place
 
     def _show(self, found: Calibration | None) -> None:
         """The laws against the histograms."""
