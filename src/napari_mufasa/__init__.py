@@ -17,9 +17,11 @@ if TYPE_CHECKING:
     from napari_mufasa.compare.wasserstein import wasserstein
     from napari_mufasa.denoise import denoise, pure_let
     from napari_mufasa.design.predict import Prediction, design, predict
+    from napari_mufasa.design.solve import Solution, solve
     from napari_mufasa.discover import Investigation, Report, diagnose, diagnose_traces, refine
     from napari_mufasa.effects import Effect, catalogue
     from napari_mufasa.errors import Cancelled, MufasaError
+    from napari_mufasa.infer import Photophysics, infer_photophysics
     from napari_mufasa.model import Camera, Model, Setup, preset
     from napari_mufasa.propose import Mismatch, Proposal, mismatches, propose_model
     from napari_mufasa.simulate import SimulatedAcquisition, Simulation, simulate, simulate_dark, simulate_emission
@@ -29,10 +31,11 @@ _HOMES = {
     "calibrate": ("Calibration", "calibrate"),
     "compare": ("Comparison", "compare_movie", "compare_traces", "wasserstein"),
     "denoise": ("denoise", "pure_let"),
-    "design": ("Prediction", "design", "predict"),
+    "design": ("Prediction", "Solution", "design", "predict", "solve"),
     "discover": ("Investigation", "Report", "diagnose", "diagnose_traces", "refine"),
     "effects": ("Effect", "catalogue"),
     "errors": ("Cancelled", "MufasaError"),
+    "infer": ("Photophysics", "infer_photophysics"),
     "model": ("Camera", "Model", "Setup", "preset"),
     "propose": ("Mismatch", "Proposal", "mismatches", "propose_model"),
     "simulate": ("SimulatedAcquisition", "Simulation", "simulate", "simulate_dark", "simulate_emission"),
@@ -42,10 +45,11 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Calibration", "Camera", "Cancelled", "Comparison", "Effect", "Investigation", "Mismatch", "Model",
-    "MufasaError", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation", "TraceSet",
+    "MufasaError", "Photophysics", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation",
+    "Solution", "TraceSet",
     "calibrate", "catalogue", "compare_movie", "compare_traces", "denoise", "design", "diagnose",
-    "diagnose_traces", "extract_traces", "mismatches", "predict", "preset", "propose_model", "pure_let", "refine",
-    "simulate", "simulate_dark", "simulate_emission", "wasserstein",
+    "diagnose_traces", "extract_traces", "infer_photophysics", "mismatches", "predict", "preset", "propose_model",
+    "pure_let", "refine", "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

@@ -11,6 +11,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -39,6 +40,7 @@ VERBS = {
     "refine": {"--model", "--add", "--out"},
     "calibrate": {"--dark", "--out"},
     "propose": {"--dark", "--out"},
+    "infer": {"--model", "--out"},
     "design": {"--model"},
     "presets": set(),
 }  # fmt: skip
@@ -317,6 +319,47 @@ def test_design_prints_and_writes_a_sweep(cli, model_file, tmp_path):
     np.testing.assert_allclose(table["k01_per_s"] / table["k01_per_s"][0], [1, 10, 100])
 
 
+def test_design_solves_for_targets_and_draws_maps(cli, model_file, tmp_path):
+    code, out, _ = cli("design", "--model", model_file, "--target", "snr_spot=5", "--out-model", tmp_path / "m.json")
+    assert code == 0 and "met at" in out
+    assert nm.predict(Model.from_json(tmp_path / "m.json")).snr_spot == pytest.approx(5)
+    code, _, _ = cli("design", "--model", model_file, "--vary", "excitation.power_density_w_per_cm2=1,10,100",
+                     "--vary", "optics.psf_fwhm_nm=250,300", "--figure", tmp_path / "map.png")  # fmt: skip
+    assert code == 0 and (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("by", ["power", "exposure"])
+def test_simulate_solves_for_a_signal_to_noise(cli, model_file, tmp_path, by):
+    movie = tmp_path / "m.ome.tif"
+    code, out, _ = cli("simulate", "--model", model_file, "--snr", 4, "--snr-by", by, "--frames", 3, "--out", movie)
+    assert code == 0 and "wanted 4: met" in out
+    assert nm.predict(Model.stored_in(files.read_movie(movie).metadata)).snr_spot == pytest.approx(4)
+
+
+def test_diagnose_notes_a_model_that_cannot_be_the_movies(cli, movie_file, model_file, tmp_path, told):
+    other = Model.from_json(model_file).with_values({"camera.baseline_adu": 900.0})
+    other.to_json(tmp_path / "other.json")
+    code, _, err = cli("diagnose", movie_file, "--model", tmp_path / "other.json", "--out", tmp_path / "d")
+    assert code == 0 and "darkest pixels" in err and "propose" in err
+    code, _, err = cli("diagnose", movie_file, "--model", model_file, "--out", tmp_path / "e")
+    assert code == 0 and "may not belong" not in err
+
+
+def test_infer_writes_the_model_of_traces(cli, model_file, tmp_path):
+    from benchmarks.inference import recorded
+
+    model = Model.from_json(model_file).with_values({"acquisition.n_frames": 60})
+    files.traces.write_trace_file(tmp_path / "t.csv", recorded(model, 30, seed=2))
+    code, out, _ = cli("infer", tmp_path / "t.csv", "--model", model_file, "--out", tmp_path / "inferred.json",
+                       "--report", tmp_path / "r.json")  # fmt: skip
+    assert code == 0 and "only as their product" in out
+    level = json.loads((tmp_path / "r.json").read_text())["values"]["level_e"]["value"]
+    assert level == pytest.approx(nm.predict(model).detected_e_per_frame, rel=0.05)
+    assert nm.predict(Model.from_json(tmp_path / "inferred.json")).detected_e_per_frame == pytest.approx(
+        level, rel=0.01
+    )
+
+
 # --- diagnose, refine ----------------------------------------------------------------------------------------
 
 
@@ -387,6 +430,7 @@ def test_the_words_of_an_option_are_those_of_the_function_it_is_for():
 
     assert options.EngineName == Engine and options.CameraName == CameraType
     assert options.UnitName == Unit and options.ProfileName == Profile and options.ThresholdName == Threshold
+    assert get_args(options.SnrBy) == ("power", "exposure")
     assert options.TimesName == SofiTimes and options.MethodName == Method
 
 
@@ -481,6 +525,10 @@ BAD = {
     "not traces": (["compare", "--traces", "MODEL", "--model", "MODEL", "--out", "OUT/c"], "cannot read traces"),
     "out is a file": (["traces", "MOVIE", "--model", "MODEL", "--out", "MODEL"], "is a file"),
     "unknown effect to add": (["refine", "MOVIE", "--model", "MODEL", "--add", "magic", "--out", "OUT/d"], "magic"),
+    "bad target": (["design", "--model", "MODEL", "--target", "snr_spot"], "NAME=VALUE"),
+    "no such target": (["design", "--model", "MODEL", "--target", "loudness=5"], "loudness"),
+    "figure of nothing": (["design", "--model", "MODEL", "--figure", "OUT/f.png"], "--vary"),
+    "no such signal": (["simulate", "--model", "MODEL", "--snr", "1e9", "--out", "OUT/m.tif"], "not crossed"),
     "bad sweep": (["design", "--model", "MODEL", "--vary", "power"], "PATH=V1,V2"),
 }  # fmt: skip
 

@@ -23,7 +23,7 @@ FLOORS = (
     ("traces",),
     ("observe", "calibrate"),
     ("denoise", "compare", "propose"),
-    ("design",),
+    ("design", "infer"),
     ("discover",),
     ("report",),
     ("samples",),

@@ -250,6 +250,24 @@ def test_design_shows_a_column_for_each_value(viewer, open_panel, run, tmp_path,
     assert pd.read_csv(tmp_path / "design.csv")["snr_spot"].to_numpy() == pytest.approx(wanted["snr_spot"].to_numpy())
 
 
+def test_design_maps_two_values_and_solves_for_a_target(viewer, open_panel, run, bright_model):
+    from napari_mufasa.design import predict
+
+    panel = open_panel(DesignPanel, viewer)
+    session_of(viewer).set_model(bright_model, "test")
+    panel.form.vary_also.value = "optics.psf_fwhm_nm"
+    type_into(panel.form["also_values"], "250, 300")
+    run(panel)
+    assert panel.table.horizontalHeaderItem(6).text() == "100 / 300" and panel.plot.drawn
+    panel.targets.and_also.value = ""
+    panel.solve_button.click()
+    assert predict(session_of(viewer).model).snr_spot == pytest.approx(5)
+    assert "met" in panel.solution.text()
+    panel.targets.wanted.value = "duty_cycle"
+    panel.solve_button.click()  # nothing changes it: told in one line
+    assert "not crossed" in panel.run_bar.message.text()
+
+
 def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, bright_movie, bright_model):
     from napari_mufasa.calibrate import calibrate
 

@@ -139,7 +139,7 @@ def _law(
     flat: NDArray[np.float64], register: bool, charge_e: float | None, weights: tuple[float, ...]
 ) -> tuple[Fit, Value]:
     """The law of the histogram, and the read noise."""
-    seen = histogram.of_dark(flat)
+    seen = histogram.of_dark(flat, register)
     n = flat.size
     grown = np.sqrt(len(flat) / (len(flat) - 1))  # the mean took its part
     # By the left side alone: spurious electrons lie on the right.

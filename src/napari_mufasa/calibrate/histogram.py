@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.calibrate.law import Law, below
+from napari_mufasa.calibrate.law import PHASES, Law, below
 from napari_mufasa.calibrate.value import NORMAL, Value
 
 Array = NDArray[np.float64]
@@ -29,22 +29,24 @@ OFFSET = {"excess_noise_factor": 1.0}  # fitted as the logarithm of what is abov
 class Histogram:
     """Counts about their means, by groups of pixels: `level_adu` (group,) mean counts + ½ (−∞: no light), `edges`
     (group, edge), `seen` (group, edge + 1) how many lie below, between and above; `n_mean` frames are in a mean. Pixels
-    of a group differ in level by `spread_adu` (group,) rms."""
+    of a group differ in level by `spread_adu` (group,) rms; `phases` (group, phase): see `law.below`."""
 
     level_adu: Array
     spread_adu: Array
     edges: Array
     seen: Array
     n_mean: int
+    phases: Array
 
     def expected(self, law: Law, baseline_adu: float) -> Array:
         """How many the law puts there (group, edge + 1)."""
         rows = []
-        for level, spread, edges, seen in zip(self.level_adu, self.spread_adu, self.edges, self.seen, strict=True):
+        groups = zip(self.level_adu, self.spread_adu, self.edges, self.seen, self.phases, strict=True)
+        for level, spread, edges, seen, phases in groups:
             signal = level - baseline_adu - law.charge_e * law.adu_per_electron
             # Two levels have the mean and the spread of all.
             signals = (signal - spread, signal + spread) if spread > 0 else (signal,)
-            share = np.mean([below(law, max(one, 0.0), edges, self.n_mean) for one in signals], axis=0)
+            share = np.mean([below(law, max(one, 0.0), edges, self.n_mean, phases) for one in signals], axis=0)
             rows.append(np.diff(np.concatenate([[0.0], share, [1.0]])) * seen.sum())
         return np.asarray(np.maximum(np.array(rows), 1e-9))
 
@@ -74,12 +76,15 @@ class Fit:
         return self.histogram.expected(self.law, self.baseline_adu)
 
 
-def of_dark(dark: Array) -> Histogram:
-    """Of frames without light (frame, y, x), each pixel about its mean over all of them; (frame,) offsets are off."""
+def of_dark(dark: Array, tail: bool) -> Histogram:
+    """Of frames without light (frame, y, x), each pixel about its mean over all of them; (frame,) offsets are off.
+
+    tail : with bins far beyond the read noise, where single multiplied electrons lie
+    """
     n = len(dark)
     values = dark.reshape(n, -1)
     about = (values - values.mean(axis=0)).ravel()
-    return _histogram([about], [-np.inf], [0.0], n, tail=True)
+    return _histogram([about], [-np.inf], [0.0], n, tail)
 
 
 def of_light(chunks: Sequence[NDArray[np.float32]], pixels: NDArray[np.bool_]) -> Histogram | None:
@@ -128,8 +133,9 @@ def _histogram(
     abouts: Sequence[Array], levels: Sequence[float], spreads: Sequence[float], n_mean: int, tail: bool = False
 ) -> Histogram:
     rng = np.random.default_rng(0)
-    edges, seen = [], []
+    edges, seen, phases = [], [], []
     for about in abouts:
+        phases.append(np.bincount((about % 1.0 * PHASES).astype(int) % PHASES, minlength=PHASES) / len(about))
         # Whole counts about almost the same mean would lie on a lattice, and bins hold one point of it or two.
         about = about + rng.uniform(-0.5, 0.5, len(about))
         low, middle, high = np.percentile(about, [15.87, 50, 84.13])
@@ -140,7 +146,9 @@ def _histogram(
         edges.append(middle + scale * sd)
         cells = np.searchsorted(edges[-1], about, side="right")
         seen.append(np.bincount(cells, minlength=len(scale) + 1))
-    return Histogram(np.array(levels), np.array(spreads), np.array(edges), np.array(seen, dtype=float), n_mean)
+    return Histogram(
+        np.array(levels), np.array(spreads), np.array(edges), np.array(seen, dtype=float), n_mean, np.array(phases)
+    )
 
 
 def fit(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 POINTS = 2**13
+PHASES = 16  # of the lattice that whole counts about a mean lie on
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,9 @@ class Law:
         return self.excess_noise_factor * self.adu_per_electron * light * power + self.read_noise_adu**2 + 1 / 12
 
     def log_characteristic(self, t: Array, signal_adu: float) -> NDArray[np.complex128]:
-        """Of a count about its mean, at t in 1/ADU."""
+        """Of a level before it is rounded, about its mean, at t in 1/ADU."""
         electrons = signal_adu / self.adu_per_electron + self.charge_e
-        result = (-0.5 * self.read_noise_adu**2) * t**2 + np.log(np.sinc(t / (2 * np.pi)) ** 2 + 1e-300) / 2 + 0j
+        result = (-0.5 * self.read_noise_adu**2) * t**2 + 0j
         for weight in self.weights:
             one = self.adu_per_electron * weight * t
             result += electrons * (_multiplied(one, self.excess_noise_factor) - 1 - 1j * one)
@@ -55,22 +56,36 @@ def _multiplied(t: Array, excess: float) -> NDArray[np.complex128]:
     return np.asarray((1 - 1j * t / shape) ** -shape)
 
 
-def below(law: Law, signal_adu: float, edges: Array, n_mean: int = 0) -> Array:
+def below(law: Law, signal_adu: float, edges: Array, n_mean: int = 0, phases: Array | None = None) -> Array:
     """Share of counts, less their mean, that lie below each of the edges (edge,), which ascend.
 
     n_mean : counts are taken about the mean of so many frames of their own pixel, themselves one of them; 0: about the
         true mean. A random part of a count (even, rms 1/√12) is added to them.
+    phases : (phase,) shares of counts by what is left of them, about their means, modulo 1 ADU, from 0 on: counts are
+        whole, and where the noise is small they lie on a lattice; None: anywhere
     """
     reach = 1.2 * max(abs(edges[0]), abs(edges[-1])) + 8 * np.sqrt(law.variance(signal_adu))
     step = 2 * reach / POINTS
     t = 2 * np.pi * np.fft.rfftfreq(POINTS, step)
     if n_mean > 1:
         log = law.log_characteristic(t * (1 - 1 / n_mean), signal_adu)
-        log += (n_mean - 1) * law.log_characteristic(-t / n_mean, signal_adu)
+        log += (n_mean - 1) * (law.log_characteristic(-t / n_mean, signal_adu) + _rounding(t / n_mean))
     else:
         log = law.log_characteristic(t, signal_adu)
-    density = np.fft.irfft(np.conj(np.exp(log)) * np.sinc(t / (2 * np.pi)), POINTS) / step
+    density = np.fft.irfft(np.conj(np.exp(log)), POINTS) / step
     density = np.fft.fftshift(density)
     x = (np.arange(POINTS) - POINTS // 2) * step
     total = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2) * step])
-    return np.asarray(np.interp(edges, x, total / total[-1]))
+    shares = np.full(PHASES, 1 / PHASES) if phases is None else phases
+    # A count c has all levels from c − ½ to c + ½; the random part spreads it evenly over just these.
+    found = np.zeros(len(edges))
+    for phase, share in zip((np.arange(len(shares)) + 0.5) / len(shares), shares, strict=True):
+        cell = np.floor(edges - phase - 0.5) + phase + 0.5
+        low, high = np.interp(cell, x, total), np.interp(cell + 1, x, total)
+        found += share * (low + (edges - cell) * (high - low))
+    return np.asarray(found / total[-1])
+
+
+def _rounding(t: Array) -> Array:
+    """Log characteristic function of what rounding adds."""
+    return np.asarray(np.log(np.abs(np.sinc(t / (2 * np.pi))) + 1e-300))

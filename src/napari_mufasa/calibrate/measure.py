@@ -32,6 +32,7 @@ from napari_mufasa.errors import MufasaError
 Array = NDArray[np.float64]
 CameraType = Literal["CCD", "EMCCD", "CMOS"]
 LARGEST_MISFIT = 0.006  # share of counts elsewhere than the law says, above which its shape tells no excess noise
+WIDE_PX = 32  # frames from which on the first columns can be spared
 DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
 
 
@@ -101,6 +102,8 @@ def calibrate(
             notes.append(f"frames 0 to {first - 1} are dark and were used as dark frames")
     chunks = lit_chunks(movie, first, progress, cancel)
     lit = np.ones(shape[1:], dtype=bool)
+    if shape[2] >= WIDE_PX:
+        lit[:, : rows.LAGS] = False  # what was read before them is not in the movie
     frames, shaded, seen_dark = None, None, None
     if dark is not None:
         frames = checked_dark(dark, shape[1:])
@@ -112,7 +115,7 @@ def calibrate(
         if shaded is not None and not _is_dark(seen_dark):
             frames, shaded, seen_dark = None, None, None
     if shaded is not None:
-        lit = ~shaded
+        lit &= ~shaded
         notes.append(f"{100 * shaded.mean():.0f} % of the pixels lie in shadow and were used in place of dark frames")
     seen = _Light(chunks, lit, shape[0] - first)
     if seen_dark is not None and frames is not None and seen_dark.charge.value > 0:
@@ -341,7 +344,7 @@ def _without_dark(
     else:
         start = replace(law, read_noise_adu=max(0.3 * law.adu_per_electron, 1.0))
         darkest = histogram.Histogram(
-            seen.level_adu[:2], seen.spread_adu[:2], seen.edges[:2], seen.seen[:2], seen.n_mean
+            seen.level_adu[:2], seen.spread_adu[:2], seen.edges[:2], seen.seen[:2], seen.n_mean, seen.phases[:2]
         )
         fit = histogram.fit("light", darkest, start, ("adu_per_electron", "read_noise_adu"), zero + 0.5, raw_slope)
         read = fit.values["read_noise_adu"]

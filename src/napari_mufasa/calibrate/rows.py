@@ -71,15 +71,19 @@ def of_light(lit: Correlations, dark: Correlations | None, read_variance: float)
     """Correlations (lag,) that the read-out gives the light: those of lit pixels without the read noise's share, whose
     own are the dark ones (without dark frames: the same)."""
     found = np.zeros(LAGS)
-    kernel = lit.kernel
-    found[: len(kernel)] = kernel
-    if dark is None or read_variance <= 0 or (not len(kernel) and not len(dark.kernel)):
+    known = 0 if dark is None or read_variance <= 0 else len(dark.kernel)
+    # Where the dark shows a kernel, what light has of it is kept however small it looks: none would be no better known.
+    n = max(len(lit.kernel), known)
+    found[:n] = (lit.row - lit.column)[:n]
+    if dark is None or read_variance <= 0 or n == 0:
         return found
     own = np.zeros(LAGS)
-    own[: len(dark.kernel)] = dark.kernel
+    own[:known] = dark.kernel
     light = max(lit.variance - read_variance, 1e-9)
     found = (found * lit.variance - own * read_variance) / light
-    found[np.abs(found) < SURE * np.sqrt(2) * lit.sd * lit.variance / light] = 0.0
+    unsure = np.abs(found) < SURE * np.sqrt(2) * lit.sd * lit.variance / light
+    unsure[:known] = False
+    found[unsure] = 0.0
     return found
 
 

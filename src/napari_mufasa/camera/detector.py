@@ -105,7 +105,7 @@ def expose(
     read_out(added, sigma, camera.read_noise_mean_e, numbers, streams.key("read noise"))
     if camera.read_noise_kernel:
         mean_e = np.float32(camera.read_noise_mean_e)
-        added = readout.along_rows(added - mean_e, readout.noise_weights(camera)) + mean_e
+        added = readout.noise_along_rows(added - mean_e, readout.noise_weights(camera)) + mean_e
     for hook in hooks.noise:
         added = hook(added, frames)
     if apart:

@@ -41,6 +41,13 @@ def along_rows(electrons: Stack, weights: Array) -> Stack:
     return mixed
 
 
+def noise_along_rows(noise: Stack, weights: Array) -> Stack:
+    """The same of read noise: before a row's first pixel the amplifier read the end of another row, so that it is
+    alike everywhere."""
+    mixed: Stack = ndimage.convolve1d(noise, weights, axis=-1, mode="wrap", origin=-(len(weights) // 2))
+    return mixed
+
+
 def undone_along_rows(mixed: Stack, weights: Array) -> Stack:
     """What `along_rows` was given; weights sum to 1 and have their zeros within the unit circle (`Camera`)."""
     lead = signal.lfilter_zi([1.0], weights) * mixed[..., :1].astype(np.float64)

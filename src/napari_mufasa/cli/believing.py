@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from napari_mufasa.cli import console
-from napari_mufasa.cli.options import CameraName, DarkFile, MovieFile, Overwrite
+from napari_mufasa.cli.options import CameraName, DarkFile, ModelFile, MovieFile, Overwrite, TraceUnit
 
 if TYPE_CHECKING:
     from napari_mufasa.calibrate.found import Calibration
@@ -127,6 +127,46 @@ def propose(
     typer.echo(f"{out}: a model to start from")
 
 
+def infer(
+    traces: Annotated[Path, typer.Argument(metavar="TRACES", help="CSV, TIFF, HDF5 or .traces, whole movies.")],
+    model: ModelFile,
+    out: Annotated[Path, typer.Option("--out", metavar="model.json", help="The model with what was inferred.")],
+    unit: TraceUnit = None,
+    all_molecules: Annotated[
+        bool, typer.Option("--all-molecules", help="Molecules that never shone are among the traces.")
+    ] = False,
+    report: ReportFile = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Infer brightness, bleaching, dark state and activation from traces, and say what cannot be told apart."""
+    from napari_mufasa import files
+    from napari_mufasa.files.traces import read_traces
+    from napari_mufasa.infer import infer_photophysics
+    from napari_mufasa.model.model import Model
+
+    for path in (out, report):
+        if path is not None:
+            console.check_file_out(path, overwrite)
+            console.check_not_read(path, traces, model)
+    values, found_unit = read_traces(traces)
+    believed = Model.from_json(model)
+    with console.working("inferring") as work:
+        found = infer_photophysics(
+            values, believed, unit=unit or found_unit, all_molecules=all_molecules, **work.both()
+        )  # fmt: skip
+    found.model.to_json(out)
+    console.tell_origin(out, believed, (traces, model))
+    if report is not None:
+        files.write_json(report, found.report())
+    typer.echo(f"{traces}: {found.n_molecules} molecules")
+    console.print_table(("inferred", "value [95 %]"), [(name, _measured(v)) for name, v in found.values.items()])
+    for name, words in found.unknown.items():
+        typer.echo(f"unknown: {name}: {words}")
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+    typer.echo(f"{out}: the model with what was inferred")
+
+
 def _rows(found: Calibration) -> list[tuple[str, str]]:
     readout = found.readout
     values = {
@@ -153,4 +193,4 @@ def _measured(found: Value) -> str:
     return f"{found.value:.4g} [{low:.4g}, {high:.4g}]" if math.isfinite(low) else f"{found.value:.4g} (given)"
 
 
-VERBS = (calibrate, propose)
+VERBS = (calibrate, propose, infer)

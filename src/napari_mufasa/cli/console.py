@@ -210,6 +210,18 @@ def tell_disagreement(movie: Any, model: Model) -> None:
         note(f"the movie's pixels are {size_nm:g} nm, the model's {timing.pixel_size_nm:g} nm: the model's count")
 
 
+def tell_mismatches(path: Path, movie: Any, model: Model, dark: Any = None) -> None:
+    """A note for each thing that movie and model contradict each other in."""
+    from napari_mufasa.files.instrument import read_instrument
+    from napari_mufasa.propose import mismatches
+
+    found = mismatches(movie, model, dark, read_instrument(path) if path.is_file() else None)
+    for mismatch in found:
+        note(f"the model may not belong to this movie: {mismatch.words}")
+    if any(mismatch.field.startswith("camera") for mismatch in found):
+        note(f"'napari-mufasa propose {path}' makes a model of the movie itself")
+
+
 def note(text: str) -> None:
     """A line for the user that is no result: told on stderr when the work is done."""
     warnings.warn(text, stacklevel=2)

@@ -72,7 +72,8 @@ def diagnose(
     for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
         if given is not None:
             raise MufasaError(f"{name} belongs to a table of traces; add --traces if this is one")
-    recorded, background = _loaded(movie, believed), None if dark is None else files.load(dark)
+    background = None if dark is None else files.load(dark)
+    recorded = _loaded(movie, believed, background)
     with console.working("diagnosing") as work:
         report = discover.diagnose(recorded, believed, background, seed=seed, budget=budget, **work.both())
     _finish_movie(out, report, recorded, background, [movie, model, dark])
@@ -96,17 +97,20 @@ def refine(
     console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark)
     believed = Model.from_json(model)
     effects = [_effect(believed, text) for text in add]
-    recorded, background = _loaded(movie, believed), None if dark is None else files.load(dark)
+    background = None if dark is None else files.load(dark)
+    recorded = _loaded(movie, believed, background)
     with console.working("refining") as work:
         report = discover.refine(recorded, believed, effects, background, seed=seed, **work.both())
     _finish_movie(out, report, recorded, background, [movie, model, dark])
 
 
-def _loaded(movie: Path, model: Model) -> Any:
+def _loaded(movie: Path, model: Model, dark: Any) -> Any:
     from napari_mufasa import files
 
     console.tell_disagreement(files.read_movie(movie), model)
-    return files.load(movie)
+    recorded = files.load(movie)
+    console.tell_mismatches(movie, recorded, model, dark)
+    return recorded
 
 
 def _effect(model: Any, text: str) -> Any:

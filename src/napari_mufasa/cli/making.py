@@ -11,7 +11,7 @@ import typer
 
 from napari_mufasa import provenance
 from napari_mufasa.cli import console
-from napari_mufasa.cli.options import EngineName, ModelFile, Overwrite, Resume, Seed
+from napari_mufasa.cli.options import EngineName, ModelFile, Overwrite, Resume, Seed, SnrBy
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
@@ -35,6 +35,11 @@ def simulate(
         list[str] | None,
         typer.Option("--effect", metavar="KIND[:NAME=VALUE,…]", help="Add an effect; may be repeated."),
     ] = None,
+    snr: Annotated[
+        float | None,
+        typer.Option("--snr", min=1e-6, metavar="S", help="Solve for this signal to noise of a whole spot in a frame."),
+    ] = None,
+    snr_by: Annotated[SnrBy, typer.Option("--snr-by", help="What --snr changes.")] = "power",
     engine: Annotated[EngineName, typer.Option("--engine")] = "fast",
     truth: Annotated[
         Path | None, typer.Option("--truth", metavar="DIR", help="Also write emission.csv and positions.csv.")
@@ -58,6 +63,10 @@ def simulate(
     chosen = _chosen_model(preset, model).with_values({k: v for k, v in asked.items() if v is not None})
     for text in effect or []:
         chosen = chosen.with_effects(console.effect_from_text(chosen, text))
+    if snr is not None:
+        from napari_mufasa.design.solve import EXPOSURE, POWER
+
+        chosen = _solved(chosen, {"snr_spot": snr}, POWER if snr_by == "power" else EXPOSURE, None)
     places = None if positions is None else read_positions(positions, chosen.acquisition.pixel_size_nm)
     if places is not None and n_molecules is not None:
         if n_molecules > len(places):
@@ -154,25 +163,74 @@ def design(
         list[str] | None,
         typer.Option("--vary", metavar="PATH=V1,V2,…", help="A value of the model to vary; may be repeated."),
     ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option("--target", metavar="NAME=VALUE", help="A prediction that is wanted; may be repeated."),
+    ] = None,
+    solve: Annotated[
+        str, typer.Option("--solve", metavar="PATH", help="The value of the model that targets are met by.")
+    ] = "excitation.power_density_w_per_cm2",
     out: Annotated[Path | None, typer.Option("--out", metavar="TABLE.csv", help="Write the table as CSV.")] = None,
+    out_model: Annotated[
+        Path | None, typer.Option("--out-model", metavar="model.json", help="Write the model that meets the target.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="PNG", help="Draw curves over one varied value, maps over two.")
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Predict signal, noise, life time and detectability before taking the movie."""
+    """Predict signal, noise, precision and life time before taking the movie, or solve for a target."""
     from napari_mufasa import files
     from napari_mufasa.design.predict import design as sweep
     from napari_mufasa.model.model import Model
 
-    if out is not None:
-        console.check_file_out(out, overwrite)
-        console.check_not_read(out, model)
+    for path in (out, out_model, figure):
+        if path is not None:
+            console.check_file_out(path, overwrite)
+            console.check_not_read(path, model)
     believed = Model.from_json(model)
-    table = sweep(believed, dict(_parse_vary(text) for text in vary or []))
+    varied = dict(_parse_vary(text) for text in vary or [])
+    targets = dict(_parse_target(text) for text in target or [])
+    if figure is not None and not 1 <= len(varied) <= 2:
+        raise MufasaError("--figure draws over one value or two: give --vary once or twice")
+    if out_model is not None and not targets:
+        raise MufasaError("--out-model needs a --target that the model shall meet, as snr_spot=5")
+    if targets:
+        believed = _solved(believed, targets, solve, out_model)
+    table = sweep(believed, varied)
     if out is not None:
         files.write_table(out, table)
         console.tell_origin(out, believed, (model,))
+    if figure is not None:
+        from napari_mufasa.report.figures import design_drawing
+
+        shown = [name for name in targets if name in table] if targets else []
+        files.whole.write_bytes(figure, design_drawing(table, list(varied), shown, targets).render("light"))
     turned = table.astype(object).where(table.notna(), None).T
     head = ("quantity", *(f"case {i + 1}" for i in range(len(table)))) if len(table) > 1 else ("quantity", "value")
     console.print_table(head, [(name, *row) for name, row in zip(turned.index, turned.to_numpy(), strict=True)])
+
+
+def _solved(believed: Model, targets: dict[str, float], path: str, out: Path | None) -> Model:
+    """The model that meets the first target; says what is met, and where all would be."""
+    from napari_mufasa.design.solve import solve
+    from napari_mufasa.report.lines import solution_lines
+
+    found = solve(believed, targets, path)
+    for line in solution_lines(found):
+        typer.echo(line)
+    if out is not None:
+        found.model.to_json(out)
+        typer.echo(f"{out}: the model with that value")
+    return found.model
+
+
+def _parse_target(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise MufasaError(f"--target {text!r}: write NAME=VALUE as in snr_spot=5") from None
 
 
 def _parse_vary(text: str) -> tuple[str, list[Any]]:

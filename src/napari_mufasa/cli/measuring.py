@@ -215,6 +215,7 @@ def compare(
         console.tell_disagreement(files.read_movie(movie), believed)
         recorded = files.load(movie)
         background = None if dark is None else files.load(dark)
+        console.tell_mismatches(movie, recorded, believed, background)
         with console.working("comparing") as work:
             result = comparing.compare_movie(
                 recorded, believed, background, max_steps=max_steps, follow_drift=follow_drift,

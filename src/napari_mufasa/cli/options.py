@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import typer
 
 EngineName = Literal["fast", "exact"]
+SnrBy = Literal["power", "exposure"]
 CameraName = Literal["CCD", "EMCCD", "CMOS"]
 UnitName = Literal["photoelectrons", "photons", "adu"]
 ProfileName = Literal["psf", "sum", "brightest_pixel"]

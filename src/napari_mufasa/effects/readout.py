@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from napari_mufasa.camera.detector import Stack
-from napari_mufasa.camera.readout import along_rows, code_begins
+from napari_mufasa.camera.readout import along_rows, code_begins, noise_along_rows
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.model.setup import Setup
 from napari_mufasa.simulate.scene import Scene
@@ -77,7 +77,7 @@ class SerialReadout(Effect):
         noise = noise / np.sqrt(np.sum(noise**2))
         mean_e = np.float32(scene.setup.camera.read_noise_mean_e)
         scene.sensor.amplifier.append(lambda e, frames: along_rows(e, signal))
-        scene.sensor.noise.append(lambda e, frames: along_rows(e - mean_e, noise) + mean_e)
+        scene.sensor.noise.append(lambda e, frames: noise_along_rows(e - mean_e, noise) + mean_e)
 
 
 class FrameBaseline(Effect):

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.instrument import Instrument, read_instrument
 from napari_mufasa.files.movies import METADATA_KEY, complaints, read_movie, write_movie
 
 LayerData = tuple[Any, dict[str, Any], str]
@@ -59,8 +60,9 @@ def movie_layer(path: str | os.PathLike[str]) -> LayerData:
         "axis_labels": ("frame", "y", "x"),
         "contrast_limits": contrast(data),
     }
+    options["metadata"] = {METADATA_KEY: {"path": os.fspath(path)}}
     if movie.metadata.get("model"):
-        options["metadata"] = {METADATA_KEY: movie.metadata}
+        options["metadata"][METADATA_KEY] |= movie.metadata
         if movie.pixel_size_nm is not None:
             options |= movie_space(movie.pixel_size_nm)
     return data, options, "image"
@@ -142,9 +144,17 @@ def _stack(data: Any, multiscale: bool, rgb: bool) -> Any:
 
 
 def stored(layer: Any, key: str) -> Any:
-    """What the layer's metadata say of us: `model`, `seed`, `role` ("dark frames", "photons" …), `dark_layer`."""
+    """What the layer's metadata say of us: `model`, `seed`, `role` ("dark frames", "photons" …), `dark_layer`,
+    `path`."""
     ours = layer.metadata.get(METADATA_KEY) if layer is not None else None
     return ours.get(key) if isinstance(ours, dict) else None
+
+
+def instrument_of(layer: Any) -> Instrument:
+    """What the recording software wrote into the file that a layer was opened from; nothing where there is no file."""
+    source = getattr(getattr(layer, "source", None), "path", None)
+    path = stored(layer, "path") or source
+    return read_instrument(path) if path and os.path.isfile(path) else Instrument()
 
 
 def pixel_size_um(scale: Sequence[float], units: Sequence[Any]) -> float | None:

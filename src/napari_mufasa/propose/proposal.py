@@ -79,8 +79,8 @@ def propose_model(
     """A first believed model for a movie (frame, y, x) of ADU and, if there are any, its dark frames.
 
     instrument : what the recording software wrote (`files.instrument.read_instrument`)
-    camera_type … frame_length_s : what is known, instead of metadata, measurement or assumption; without a type it is
-        told by the histogram, and by the counts that a photoelectron makes
+    camera_type … frame_length_s : what is known, instead of metadata, measurement or assumption; without a type an EM
+        gain above 1 says EMCCD, else the histogram does, and the counts that a photoelectron makes
 
     Raises
     ------
@@ -94,7 +94,7 @@ def propose_model(
         "quantum_efficiency": quantum_efficiency,
         "adc_max": 2**written.bit_depth - 1 if written.bit_depth and written.bit_depth <= 16 else 65535,
     }  # fmt: skip
-    kind = camera_type or camera_type_of(written.camera)
+    kind = camera_type or camera_type_of(written.camera) or ("EMCCD" if (asked["em_gain"] or 1.0) > 1 else None)
     camera, found = _camera(movie, dark, kind, asked, unknown, notes, cancel)
     timing = _timing(movie, written, pixel_size_nm, frame_length_s, unknown)
     first = _first_lit(found)

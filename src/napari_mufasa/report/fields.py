@@ -36,6 +36,11 @@ LABELS = {
     "snr_peak_pixel": "SNR, brightest pixel",
     "snr_spot": "SNR, whole spot",
     "w1_floor_e": "W1 floor",
+    "psf_sigma_px": "PSF width σ",
+    "on_level_e": "Electrons of a bright frame",
+    "adu_per_photoelectron": "ADU per photoelectron",
+    "localisation_nm": "Least error of a place",
+    "frames_before_bleaching": "Bright frames before bleaching",
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,6 +14,7 @@ from napari_mufasa.report.words import chosen_candidates, effect_title
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
+    from pandas import DataFrame
 
     from napari_mufasa.calibrate.found import Calibration
     from napari_mufasa.compare import Comparison
@@ -128,6 +129,17 @@ def calibration_drawing(found: Calibration) -> Drawing:
     return Drawing(
         "calibration", "The camera measured, and the laws against the histograms.", (7.2, 5.6),
         lambda f: plotting.calibration(f, found),
+    )  # fmt: skip
+
+
+def design_drawing(
+    table: DataFrame, varied: Sequence[str], shown: Sequence[str] = (), targets: Mapping[str, float] | None = None
+) -> Drawing:
+    """Predictions over the one or two values that were varied: all that a plan is judged by, or those `shown`."""
+    quantities = tuple(shown) or plotting.JUDGED_BY
+    return Drawing(
+        "design", "What the model predicts.", (8.4, 0.4 + 2.4 * -(-len(quantities) // 3)),
+        lambda f: plotting.predictions(f, table, varied, quantities, targets),
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Results in lines of text for the viewer: a comparison, a molecule, where a model fails."""
+"""Results in lines of text: a comparison, a molecule, a design that was solved, where a model fails."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.report.fields import number_text
+from napari_mufasa.report.fields import label_of, number_text, told
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from napari_mufasa.calibrate import Calibration
     from napari_mufasa.compare import Comparison
     from napari_mufasa.compare.wasserstein import Floor
+    from napari_mufasa.design.solve import Solution
+    from napari_mufasa.propose import Mismatch, Proposal
 
 
 def movie_facts(name: str, shape: tuple[int, ...], dtype: Any, size_um: float | None, carried: str) -> str:
@@ -28,6 +32,58 @@ def calibration_line(found: Calibration) -> str:
         f"Measured: {found.adu_per_photoelectron} ADU per photoelectron, baseline {found.baseline_adu} ADU, "
         f"read noise {found.read_noise_adu} ADU."
     )
+
+
+def fit_line(found: Calibration) -> str:
+    """Whether the law of the camera fits its histograms."""
+    if not found.fits:
+        return "No test of fit: too few counts."
+    elsewhere = ", ".join(f"{fit.name} {100 * fit.distance:.2g} %" for fit in found.fits)
+    verdict = "the law holds" if found.law_holds else "the law is not all there is"
+    return f"Test of fit: {verdict} (p = {found.p_value:.2g}); counts elsewhere than it says: {elsewhere}."
+
+
+def solution_lines(found: Solution) -> list[str]:
+    """Where targets of a design are met: one line for the value set, one for each target, one for all together."""
+    lines = [f"{told(found.vary.split('.')[1])} = {found.value:.4g}"]
+    for name, wanted in found.targets.items():
+        reached = getattr(found.prediction, name)
+        is_met = "met" if found.met[name] else "missed"
+        gives = "none" if reached is None else f"{reached:.4g}"
+        lines.append(f"{told(name)}: {gives}, wanted {wanted:g}: {is_met}; met at {_stretches(found.ranges[name])}")
+    if len(found.targets) > 1:
+        if found.together:
+            lines.append(f"all met at {_stretches(found.together)}")
+        else:
+            lines.append("not all at once: no value of this one number meets every target; change another one, too")
+    return lines
+
+
+def _stretches(ranges: tuple[tuple[float, float], ...]) -> str:
+    return " and ".join(f"{low:.4g} … {high:.4g}" for low, high in ranges) or "no value"
+
+
+def proposal_lines(found: Proposal) -> str:
+    """What a proposed model rests on: values with their intervals, what is not known, what to note, as HTML."""
+    rows = []
+    for name, value in found.values.items():
+        low, high = value.interval
+        known = f"{value.value:.4g}" + (f" ({low:.3g} … {high:.3g})" if np.isfinite(low) else " (given)")
+        rows.append(f"<tr><td>{told(name.split('.')[-1])}&nbsp;&nbsp;</td><td>{known}</td></tr>")
+    unknown = "".join(f"<br>{label_of(name.split('.')[-1])}: {words}" for name, words in found.unknown.items())
+    notes = "".join(f"<br>{note}" for note in found.notes)
+    told_unknown = f"<b>Not known</b>{unknown}" if unknown else ""
+    head = "<b>Proposed</b> (95 % interval); it is the believed model now"
+    return f"{head}<table>{''.join(rows)}</table>{told_unknown}{notes}"
+
+
+def mismatch_line(origin: str, found: Sequence[Mismatch]) -> str:
+    """A warning that the model believed cannot be the movie's, as HTML; nothing where nothing speaks against it."""
+    if not found:
+        return ""
+    named = f" ({origin})" if origin else ""
+    said = "".join(f"<br>{mismatch.words}" for mismatch in found)
+    return f"<b>The model believed{named} cannot be this movie's.</b>{said}<br>Step Camera can propose one."
 
 
 def comparison_table(comparison: Comparison) -> str:

@@ -11,6 +11,7 @@ system and no global figure is involved.
 """
 
 from napari_mufasa.report.plots.calibration import calibration
+from napari_mufasa.report.plots.design import JUDGED_BY, predictions
 from napari_mufasa.report.plots.diagnosis import (
     count_strengths,
     curve,
@@ -33,8 +34,7 @@ from napari_mufasa.report.plots.movies import molecules, montage
 from napari_mufasa.report.plots.themes import PALETTES, Palette, Theme, figure, image_bytes, style
 
 __all__ = [
-    "PALETTES", "Palette", "Theme", "calibration", "contact_sheet", "count_strengths", "curve", "curves",
+    "JUDGED_BY", "PALETTES", "Palette", "Theme", "calibration", "contact_sheet", "count_strengths", "curve", "curves",
     "distribution", "distributions", "evidence", "figure", "image_bytes", "lit_trace", "molecules", "montage",
-    "side_by_side",
-    "staircase", "strengths", "style", "trace", "w1_bars", "z_scores",
+    "predictions", "side_by_side", "staircase", "strengths", "style", "trace", "w1_bars", "z_scores",
 ]  # fmt: skip

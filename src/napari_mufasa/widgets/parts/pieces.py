@@ -13,6 +13,7 @@ from qtpy.QtWidgets import (
     QHeaderView,
     QLabel,
     QPushButton,
+    QScrollArea,
     QSizePolicy,
     QTableWidget,
     QTableWidgetItem,
@@ -119,6 +120,15 @@ class Words(QLabel):
         self.setText(text)
         self.setStyleSheet(ERROR_STYLE if error else "")
         self.setVisible(bool(text))
+
+
+def into_view(widget: QWidget) -> None:
+    """Scroll to a part of a panel, where it is in something that scrolls."""
+    above: Any = widget.parentWidget()
+    while above is not None and not isinstance(above, QScrollArea):
+        above = above.parentWidget()
+    if above is not None:
+        above.ensureWidgetVisible(widget)
 
 
 def button(text: str, action: Callable[[], Any], tooltip: str = "", enabled: bool = True) -> QPushButton:

@@ -7,13 +7,17 @@ from typing import Annotated, Any
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.measure import CameraType
 from napari_mufasa.files.layers import measurement_of
-from napari_mufasa.report.lines import calibration_line
+from napari_mufasa.propose import Proposal
+from napari_mufasa.report.lines import calibration_line, fit_line, proposal_lines
+from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.widgets.parts.edits import NumberEdit
 from napari_mufasa.widgets.parts.forms import PartEditor, widget_of
 from napari_mufasa.widgets.parts.model_edit import ModelEdit
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
-from napari_mufasa.widgets.parts.pieces import Words, section
+from napari_mufasa.widgets.parts.pieces import Words, button, into_view, section, timer
+from napari_mufasa.widgets.parts.plot import PlotCanvas
+from napari_mufasa.widgets.steps.propose import propose
 from napari_mufasa.widgets.turns.session import Session
 from napari_mufasa.widgets.turns.steering import steering
 
@@ -78,15 +82,46 @@ class CameraPanel(Panel):
         self.editor = PartEditor(self.session, "camera")
         timing = PartEditor(self.session, "acquisition", TIMING)
         self.result = Words()
-        self.add(self.source.native, self.editor, section("Timing and pixels", timing))
+        self.picture = PlotCanvas(self.viewer, "", 420)
+        self.picture.hide()
+        self.propose_button = button(
+            "Propose a model from this movie", lambda: self.guarded(self.propose),
+            "Metadata, camera, PSF width, background, molecules and their light: a model to start from",
+        )  # fmt: skip
+        self.add(self.source.native, self.doubting(), self.propose_button, self.editor)
+        self.add(section("Timing and pixels", timing))
         self.add(Words("<b>Measure it</b> where its values are not known: steady light, dark frames"))
-        self.add(self.form.native, self.run_bar, self.result)
+        self.add(self.form.native, self.run_bar, self.result, self.picture)
         self.column.addStretch(1)
         self.session.model_changed.connect(self._refresh)
         self._refresh()
 
     def take(self, found: Calibration) -> None:
-        self.result.say("<br>".join((believe(self.session, found), *found.notes)))
+        self.result.say("<br>".join((believe(self.session, found), fit_line(found), *found.notes)))
+        self._show(found)
+
+    def propose(self) -> None:
+        """Propose a whole model from the movie, with what is given of its camera."""
+        self.measurement().recorded()
+        asked = self.form.asdict()
+        names = ("movie", "dark", "dark_frames", "em_gain", "electrons_per_adu", "quantum_efficiency")
+        given = {name: asked[name] for name in names}
+        self.start("Proposing a model", lambda: propose(**given), self.take_proposal)
+        into_view(self.run_bar)
+
+    def take_proposal(self, found: Proposal) -> None:
+        """The proposed model is believed; the panel tells how far each value is known."""
+        layer = self.session.movie_layer
+        self.session.set_model(found.model, f"proposed from {layer.name if layer is not None else 'the movie'}")
+        self.result.say(proposal_lines(found))
+        self._show(found.calibration)
+        timer(self, 50, lambda: into_view(self.result)).start()  # once it has its place
+
+    def _show(self, found: Calibration | None) -> None:
+        """The laws against the histograms."""
+        self.picture.setVisible(found is not None)
+        if found is not None:
+            self.picture.draw(drawing("calibration", found, whole=True))
 
     def _refresh(self) -> None:
         self.form.camera_type.value = self.session.model.camera.type

@@ -91,7 +91,7 @@ class ComparePanel(Panel):
         )  # fmt: skip
         self.use_button.hide()
         self.export_button = self.saver("Export report …", "Export comparison", self.export, "report.json")
-        self.add(self.form.native, self.run_bar, self.result, self.live_line, last=self.tabs)
+        self.add(self.form.native, self.doubting(), self.run_bar, self.result, self.live_line, last=self.tabs)
         self.add(self.use_button, self.export_button)
         live_of(self.session).changed.connect(self._show_live)
 

@@ -53,7 +53,7 @@ class DataPanel(Panel):
         )
         self.use_scale = button("", self._use_scale)
         samples = row(self.sample.native, self.sample_button)
-        self.add(self.run_bar, samples, self.form.native, self.facts, self.use_model, self.use_scale)
+        self.add(self.run_bar, samples, self.form.native, self.facts, self.doubting(), self.use_model, self.use_scale)
         self.column.addStretch(1)
         self.session.movie_changed.connect(self.refresh)
         self.session.model_changed.connect(self.refresh)

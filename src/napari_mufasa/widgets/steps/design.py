@@ -2,47 +2,72 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any
 
 import pandas as pd
+from magicgui import magicgui
+from qtpy.QtWidgets import QComboBox, QWidget
 
 from napari_mufasa.design import design as predicted
 from napari_mufasa.design import numbers
+from napari_mufasa.design.solve import POWER, QUANTITIES, solve
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.report.fields import number_text, told
-from napari_mufasa.widgets.parts.edits import ListEdit
+from napari_mufasa.report.lines import solution_lines
+from napari_mufasa.report.plots import predictions
+from napari_mufasa.widgets.parts.edits import ListEdit, NumberEdit
 from napari_mufasa.widgets.parts.forms import DerivedValues, widget_of
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import AnyMovie, Believed
-from napari_mufasa.widgets.parts.pieces import RowTable, section, takes_the_rest
+from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, button, column, row, section
+from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.turns.session import believed
 
 NUMBERS = [(told(path.split(".")[1]), path) for path in numbers()]
+TARGETS = [(told(name), name) for name in QUANTITIES]
+NOTHING = [("nothing else", "")]
+TARGET: dict[str, Any] = {"widget_type": "ComboBox", "label": "Wanted"}
+VALUE: dict[str, Any] = {"widget_type": NumberEdit, "min": 0, "label": "is"}
 
 
 def design(
     movie: AnyMovie = None,
     model: Believed = None,
-    vary: Annotated[
-        str, {"widget_type": "ComboBox", "label": "Vary", "choices": NUMBERS}
-    ] = "excitation.power_density_w_per_cm2",
+    vary: Annotated[str, {"widget_type": "ComboBox", "label": "Vary", "choices": NUMBERS}] = POWER,
     values: Annotated[tuple[float, ...], {"widget_type": ListEdit, "label": "Values"}] = (1.0, 10.0, 100.0),
+    vary_also: Annotated[str, {"widget_type": "ComboBox", "label": "Vary also", "choices": NOTHING + NUMBERS}] = "",
+    also_values: Annotated[tuple[float, ...], {"widget_type": ListEdit, "label": "Its values"}] = (),
 ) -> pd.DataFrame:
-    """Predict signal, noise, life time and detectability for some values of one parameter of a model.
+    """Predict signal, noise, precision and life time for some values of one parameter of a model, or of two.
 
     Without a model: the one in the movie's metadata.
 
     Parameters:
         vary: What to try several values of
         values: A column of the table for each, e.g. 1, 10, 100
+        vary_also: A second parameter: every value of one with every value of the other
+        also_values: The values of the second
 
     Returns:
         The table, a row for each value.
     """
-    return predicted(believed(model, movie), {vary: [numbers()[vary](value) for value in values]})
+    asked = {vary: [numbers()[vary](value) for value in values]}
+    if vary_also:
+        if vary_also == vary or not also_values:
+            raise MufasaError("vary_also needs another parameter than vary, and values of it: give also_values")
+        asked[vary_also] = [numbers()[vary_also](value) for value in also_values]
+    return predicted(believed(model, movie), asked)
 
 
 design_widget = widget_of(design, "Predict")
+
+
+def targets(
+    wanted: str = "snr_spot", value: float = 5.0, and_also: str = "frames_before_bleaching", other: float = 200.0
+) -> dict[str, float]:
+    """Predictions that are wanted: at least, of errors and losses at most."""
+    return {wanted: value} | ({and_also: other} if and_also else {})
 
 
 class DesignPanel(Panel):
@@ -53,22 +78,60 @@ class DesignPanel(Panel):
 
     def build(self) -> None:
         self.prediction: pd.DataFrame | None = None
+        self.varied: list[str] = []
         self.table = RowTable(["Prediction"], "Predictions, a column for each value")
         header: Any = self.table.horizontalHeader()
         header.setSectionResizeMode(0, header.ResizeMode.ResizeToContents)  # what it is must not be cut
-        takes_the_rest(self.table, 300)
+        self.plot = PlotCanvas(self.viewer, "Press Predict: curves over one value, maps over two.", 260)
+        self.shown = QComboBox()
+        self.shown.setAccessibleName("Prediction drawn")
+        for name, path in TARGETS:
+            self.shown.addItem(name, path)
+        self.shown.setCurrentIndex(QUANTITIES.index("snr_spot"))
+        self.shown.currentIndexChanged.connect(self._draw)
+        page = QWidget()
+        column(page, self.shown, self.plot, shares=(0, 1))
         self.save_button = self.saver("Save table as CSV …", "Save predictions", self.save, "design.csv")
         what_follows = section("What follows", DerivedValues(self.session))
-        self.add(self.form.native, self.run_bar, what_follows, last=self.table)
+        self.add(self.form.native, self.run_bar, what_follows, section("Solve for a target", self._solver()))
+        self.add(last=Tabs(300, {"Table": self.table, "Plot": page}))
         self.add(self.save_button)
+
+    def _solver(self) -> Any:
+        """Targets, and a button that changes the varied value of the model until the first is met."""
+        also = TARGET | {"label": "and", "choices": NOTHING + TARGETS}
+        self.targets: Any = magicgui(
+            targets, wanted=TARGET | {"choices": TARGETS}, value=VALUE, and_also=also, other=VALUE
+        )
+        self.solution = Words()
+        self.solve_button = button(
+            "Solve", partial(self.guarded, self.solve), "Change the varied value of the model until the first is met"
+        )
+        owner = QWidget()
+        column(owner, self.targets.native, row(self.solve_button), self.solution)
+        return owner
+
+    def solve(self) -> None:
+        """Set the varied value of the model so that the first target is met, and say where all are."""
+        found = solve(self.session.model, self.targets(), self.form.vary.value)
+        self.session.set_model(found.model, self.session.model_origin.removesuffix(" (solved)") + " (solved)")
+        self.solution.say("<br>".join(solution_lines(found)))
 
     def take(self, found: pd.DataFrame) -> None:
         self.prediction = found
-        varied, *names = found.columns
+        self.varied = [name for name in found.columns if "." in name]
+        names = [name for name in found.columns if name not in self.varied]
         self.table.setColumnCount(1 + len(found))
-        self.table.setHorizontalHeaderLabels(["Prediction", *(f"{value:g}" for value in found[varied])])
+        heads = [" / ".join(f"{value:g}" for value in values) for values in found[self.varied].to_numpy()]
+        self.table.setHorizontalHeaderLabels(["Prediction", *heads])
         self.table.fill((name, [told(name), *(_short(value) for value in found[name])], told(name)) for name in names)
         self.save_button.setEnabled(True)
+        self._draw()
+
+    def _draw(self) -> None:
+        if self.prediction is not None:
+            table, varied, shown = self.prediction, self.varied, [str(self.shown.currentData())]
+            self.plot.draw(lambda figure: predictions(figure, table, varied, shown), table)
 
     def save(self, path: str) -> str:
         from napari_mufasa.files.whole import write_table

@@ -116,7 +116,8 @@ class DiscoverPanel(Panel):
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), False)
         caption = "Folder for report.json and model.json"
         self.export_button = self.saver("Export report and model …", caption, self.export)
-        self.add(self.form.native, section("Suspects", self.suspects), self.run_bar, self.verdict, last=self.tabs)
+        suspects = section("Suspects", self.suspects)
+        self.add(self.form.native, self.doubting(), suspects, self.run_bar, self.verdict, last=self.tabs)
         self.add(self.export_button)
         self.run_bar.finished.connect(self._enable)
 

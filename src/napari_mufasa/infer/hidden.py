@@ -1,0 +1,74 @@
+"""The chain behind a trace: bright, dark, bleached, not yet activated; and how long a frame of it is bright."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+Array = NDArray[np.float64]
+PARTS = 4  # of a frame: where a molecule switches within it is known to an eighth
+BRIGHT, BLEACHED = 0, 1  # states of every chain
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """Rates per s: bleaching and turning off while bright, coming back from the dark state, first activation; 0: none.
+
+    starts_bright : chance that the first frame begins bright; else dark, or waiting where there is activation
+    """
+
+    bleaching: float
+    off: float = 0.0
+    back: float = 0.0
+    activation: float = 0.0
+    starts_bright: float = 1.0
+
+    @property
+    def dark(self) -> list[tuple[float, float]]:
+        """(rate into it, rate out of it) of each further state: a dark one, one before activation."""
+        return [pair for pair in ((self.off, self.back), (0.0, self.activation)) if pair[1] > 0]
+
+    @property
+    def generator(self) -> Array:
+        rates = np.zeros((2 + len(self.dark),) * 2)
+        rates[BRIGHT, BLEACHED] = self.bleaching
+        for state, (into, out) in enumerate(self.dark, 2):
+            rates[BRIGHT, state], rates[state, BRIGHT] = into, out
+        return np.asarray(rates - np.diag(rates.sum(axis=1)))
+
+    @property
+    def start(self) -> Array:
+        chances = np.zeros(2 + len(self.dark))
+        chances[-1] = 1 - self.starts_bright if self.dark else 0.0
+        chances[BRIGHT] = 1 - chances[-1]
+        return chances
+
+    def within(self, frame_s: float) -> Array:
+        """(share, from, to): chance to go from one state to another in a frame and to be bright for 0, ⅛, … 1 of it."""
+        step = expm(self.generator * frame_s / PARTS)
+        # Half a part for each of its ends that is bright.
+        n = len(step)
+        bright = np.zeros(n, dtype=int)
+        bright[BRIGHT] = 1
+        halves = bright[:, None] + bright[None, :]
+        found = np.zeros((2 * PARTS + 1, n, n))
+        found[0] = np.eye(n)
+        for _ in range(PARTS):
+            longer = np.zeros_like(found)
+            for add in (0, 1, 2):
+                moved = found @ np.where(halves == add, step, 0.0)
+                longer[add:] += moved[: len(found) - add]
+            found = longer
+        return found
+
+    def between(self, dead_s: float) -> Array:
+        """(from, to) over the time between frames, in which light falls but none is counted."""
+        return np.asarray(expm(self.generator * dead_s))
+
+    def never_seen(self, movie_s: float) -> float:
+        """Chance that a molecule stays dark for the whole movie."""
+        waiting = self.activation if self.activation > 0 else self.back
+        return float((1 - self.starts_bright) * np.exp(-waiting * movie_s))

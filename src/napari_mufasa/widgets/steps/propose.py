@@ -1,0 +1,42 @@
+"""Propose: a first model from the movie itself, in step Camera."""
+
+from __future__ import annotations
+
+from napari_mufasa.files.layers import instrument_of, measurement_of, pixel_size_um
+from napari_mufasa.propose import Proposal
+from napari_mufasa.widgets.parts.forms import widget_of
+from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
+from napari_mufasa.widgets.turns.steering import steering
+
+
+def propose(
+    movie: Movie,
+    dark: Dark = None,
+    dark_frames: DarkFrames = 0,
+    em_gain: float | None = None,
+    electrons_per_adu: float | None = None,
+    quantum_efficiency: float = 0.9,
+) -> Proposal:
+    """Propose a first model: metadata, camera, PSF width, background, molecules and their light, on and off times.
+
+    Parameters:
+        em_gain: If it is known
+        electrons_per_adu: If it is known
+        quantum_efficiency: Photoelectrons per photon, as stated
+
+    Returns:
+        The `Proposal`: a model with an interval beside each value, and words for what could not be known.
+    """
+    from napari_mufasa.propose import propose_model
+
+    progress, cancel = steering()
+    measured = measurement_of(movie, dark, dark_frames).recorded()
+    size_um = pixel_size_um(movie.scale, movie.units)
+    return propose_model(
+        measured.movie, measured.dark, instrument=instrument_of(movie), em_gain=em_gain,
+        electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency,
+        pixel_size_nm=1000 * size_um if size_um else None, progress=progress, cancel=cancel,
+    )  # fmt: skip
+
+
+propose_widget = widget_of(propose, "Propose")

@@ -1,0 +1,57 @@
+"""Step Camera proposes a model from the movie and shows its test of fit; steps warn where model and movie differ."""
+
+from __future__ import annotations
+
+import pytest
+
+from napari_mufasa.model.presets import preset
+from napari_mufasa.widgets.steps.calibrate import CameraPanel
+from napari_mufasa.widgets.steps.compare import ComparePanel
+from napari_mufasa.widgets.steps.data import DataPanel
+from napari_mufasa.widgets.steps.discover import DiscoverPanel
+from napari_mufasa.widgets.turns.session import session_of
+
+
+@pytest.fixture
+def open_panel():
+    def make(kind, viewer):
+        panel = kind(viewer)
+        viewer.window.add_dock_widget(panel)
+        return panel
+
+    return make
+
+
+def test_a_model_is_proposed_believed_and_explained(with_movie, open_panel, qtbot, bright_model):
+    panel = open_panel(CameraPanel, with_movie)
+    panel.form.em_gain.value = 500.0
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=120_000):
+        panel.propose_button.click()
+    session = session_of(with_movie)
+    assert session.model_origin == "proposed from bright"
+    # Without dark frames, and with two photoelectrons a pixel, the baseline is known to about one of 676 ADU.
+    assert session.model.camera.baseline_adu == pytest.approx(bright_model.camera.baseline_adu, abs=2 * 676)
+    assert session.model.camera.em_gain == 500
+    assert "Not known" in panel.result.text() and "95 % interval" in panel.result.text()
+    assert panel.picture.drawn and panel.picture.isVisibleTo(panel)
+
+
+def test_a_proposal_can_be_cancelled(with_movie, open_panel, qtbot):
+    panel = open_panel(CameraPanel, with_movie)
+    before = session_of(with_movie).model
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.propose_button.click()
+        panel.run_bar.cancel()
+    assert session_of(with_movie).model == before
+
+
+@pytest.mark.parametrize("step", [DataPanel, ComparePanel, DiscoverPanel, CameraPanel])
+def test_a_model_that_cannot_be_the_movies_is_warned_of(with_movie, open_panel, qtbot, step, bright_model):
+    panel = open_panel(step, with_movie)
+    with_movie.window._qt_window.show()  # what is not to be seen is not looked at
+    session, doubts = session_of(with_movie), panel._doubts
+    session.set_model(bright_model.with_values({"camera.baseline_adu": 2000.0}), "another camera")
+    qtbot.waitUntil(lambda: "darkest pixels" in doubts.text(), timeout=20_000)
+    assert "another camera" in doubts.text()
+    session.set_model(preset("FF").with_values({"camera": bright_model.camera.model_dump()}), "its own camera")
+    qtbot.waitUntil(lambda: not doubts.text(), timeout=20_000)
