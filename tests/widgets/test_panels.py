@@ -260,3 +260,15 @@ def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, br
     assert session_of(with_movie).model.camera == wanted
     assert panel.editor.form.read("electrons_per_adu") == wanted.electrons_per_adu
     assert "367" in panel.result.text() and "(measured)" in session_of(with_movie).model_origin
+
+
+def test_molecules_that_are_followed_are_shown_as_tracks(with_movie, open_panel, run):
+    panel = open_panel(MoleculesPanel, with_movie)
+    panel.form.follow_molecules.value = True
+    run(panel)
+    tracks = next(layer for layer in with_movie.layers if type(layer).__name__ == "Tracks")
+    assert tracks.visible and len(set(tracks.data[:, 0])) == int(panel.traces.kept.sum()) > 0
+    assert with_movie.layers[-1].name.endswith("molecules")
+    assert "Followed molecules" in panel.run_bar.message.text()
+    panel.select(int(panel.traces.molecules["molecule"].iloc[0]))
+    assert "diffusion_px2_per_frame" in with_movie.layers[-1].features

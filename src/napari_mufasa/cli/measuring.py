@@ -14,6 +14,9 @@ from napari_mufasa.cli.options import (
     Best,
     DarkFile,
     FollowDrift,
+    FollowMolecules,
+    MaxGap,
+    MaxStep,
     MaxSteps,
     MethodName,
     ModelFile,
@@ -41,7 +44,9 @@ if TYPE_CHECKING:
     from napari_mufasa.traces.extract import TraceSet
 
 # What verbs write, as patterns.
-TRACES = ("traces.csv", "molecules.csv", "traces.h5", "molecules.png", "traces.png", "traces.provenance.json")
+TRACES = (
+    "traces.csv", "molecules.csv", "paths.csv", "traces.h5", "molecules.png", "traces.png", "traces.provenance.json",
+)  # fmt: skip
 COMPARISON = ("report.json", "w1.png", "counts.png", "distributions.png", "traces.png", "compare.provenance.json")
 
 
@@ -118,6 +123,9 @@ def traces(
         int | None, typer.Option("--min-steps", min=0, metavar="N", help="At least N bleaching steps.")
     ] = None,
     follow_drift: FollowDrift = False,
+    follow_molecules: FollowMolecules = False,
+    max_step: MaxStep = None,
+    max_gap: MaxGap = None,
     profile: Annotated[
         ProfileName, typer.Option("--profile", help="The whole spot (psf), a disc (sum), or one pixel.")
     ] = "psf",
@@ -151,12 +159,19 @@ def traces(
             recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
             max_steps=max_steps, min_steps=min_steps, follow_drift=follow_drift, profile=profile,
             subtract_background=not with_background, threshold=threshold, threshold_value=threshold_value,
-            min_snr=min_snr, **work.both(),
+            min_snr=min_snr, **_following(follow_molecules, max_step, max_gap), **work.both(),
         )  # fmt: skip
     with console.filling(out, believed, None, (movie, model, dark)) as folder:
         write_traces(folder, found, hdf5=hdf5)
         write_figures(folder, _molecules_and_traces(recorded, found))
     _tell_molecules(out, found)
+
+
+def _following(molecules: bool, max_step: float | None, max_gap: int | None) -> dict[str, Any]:
+    given = {name: v for name, v in (("max_step_px", max_step), ("max_gap", max_gap)) if v is not None}
+    if given and not molecules:
+        raise MufasaError("--max-step and --max-gap belong to molecules that are followed: add --follow-molecules")
+    return {"follow_molecules": molecules, **given}
 
 
 def _molecules_and_traces(recorded: Any, found: TraceSet) -> list[Drawing]:
@@ -174,12 +189,16 @@ def _molecules_and_traces(recorded: Any, found: TraceSet) -> list[Drawing]:
 
 
 def _tell_molecules(out: Path, found: TraceSet) -> None:
+    from napari_mufasa.report.lines import moving_line
+
     typer.echo(f"{out}: {found.kept.sum()} molecules kept of {len(found.molecules)} candidates")
     reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
     for reason, count in reasons.value_counts().head(6).items():
         typer.echo(f"  {count} × {reason}")
+    if found.path_px is not None:
+        typer.echo(moving_line(found))
     for note in found.notes:
-        typer.echo(f"note: {note} (--follow-drift)")
+        typer.echo(f"note: {note}" + (" (--follow-drift)" if found.path_px is None else ""))
 
 
 def compare(

@@ -43,6 +43,16 @@ MaxSteps = Annotated[
 ]
 FollowDrift = Annotated[bool, typer.Option("--follow-drift", help="Let positions follow the motion of the field.")]
 
+FollowMolecules = Annotated[
+    bool, typer.Option("--follow-molecules", help="Follow each molecule from frame to frame; tell its diffusion.")
+]
+MaxStep = Annotated[
+    float | None, typer.Option("--max-step", min=0.01, metavar="PX", help="Farthest step of a followed molecule (2 σ).")
+]
+MaxGap = Annotated[
+    int | None, typer.Option("--max-gap", min=0, metavar="N", help="Frames a followed molecule may be missed for (5).")
+]
+
 # what a table of traces holds
 TraceUnit = Annotated[UnitName | None, typer.Option("--unit", help="Of the traces; default: as the file says.")]
 TraceProfile = Annotated[

@@ -77,13 +77,14 @@ def _best(fits: Array, freedom: float) -> tuple[float, float, int, float]:
     whole[1:, 0] = np.inf  # without a share there is no q
     whole[0, 1:] = np.inf
     fall = whole.min(axis=1) - height[best] - 1.0
-    high = _crossing(q, fall, np.searchsorted(q, top, side="right"), 1)
-    low = _crossing(q, fall, np.searchsorted(q, top, side="right") - 1, -1)
+    above = int(np.searchsorted(q, top, side="right"))
+    high = _crossing(q, fall, above, 1)
+    low = _crossing(q, fall, above - 1, -1)
     return top, 0.5 * (high - low) if low > 0 else high - top, best, scale
 
 
 def _crossing(q: Array, fall: Array, start: int, step: int) -> float:
-    """Where `fall` rises above 0, from number `start` on in steps of ±1, between two numbers on the line between them."""
+    """Where `fall` rises above 0, from number `start` on in steps of ±1; between two numbers on a straight line."""
     i = start
     while 0 <= i < len(q) and fall[i] < 0:
         i += step

@@ -156,8 +156,8 @@ def amplitudes(movie, baseline, corner, weights, block_of):  # type: ignore[no-u
 @vectorised
 def walks(t, path, shares):  # type: ignore[no-untyped-def]
     """(share, 5) of places (sighting, 2) at times t as a random walk with steady drift, seen with errors, for shares of
-    the walk in q + s = 1 (see `diffusion.motion_of`): twice the part of −ln likelihood that no scale changes, the sum of
-    squares that is divided by the scale, drift along y and x, and the information on it.
+    the walk in q + s = 1 (see `diffusion.motion_of`): twice the part of −ln likelihood that no scale changes, the sum
+    of squares that is divided by the scale, drift along y and x, and the information on it.
 
     The recursion of Kalman from the first sighting on; the drift is fitted beside it (restricted likelihood).
     """

@@ -6,6 +6,7 @@ import contextlib
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ def link(
     """
     ids = np.zeros(len(places.frame), dtype=np.int64)
     edges = np.searchsorted(places.frame, np.arange(n_frames + 1))
-    levels = (places.position_px[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True))
+    levels = (places.position_px[a:b] for a, b in pairwise(edges))
     with _without_log():
         from trackpy import SubnetOversizeException, link_iter
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,11 @@ class Places:
     position_px: Array
     strength: Array
     own_px: Array
+
+    def moved_by(self, motion_px: Array) -> Places:
+        """The same places, those of each frame moved by (frame, 2)."""
+        by = motion_px[self.frame]
+        return replace(self, position_px=self.position_px + by, own_px=self.own_px + by)
 
 
 def locate(
@@ -110,7 +115,8 @@ def fit_places(
     """Places (spot, 2) of Gaussians on a constant around some pixels (spot, 2) of images (frame, y, x), and which of
     them are spots: brighter than their surroundings, and near the pixel.
 
-    start : (spot, 2) where the fit begins beside the pixel. Least squares over amplitude, constant, y and x at the width of the PSF and a pixel, by Gauss and Newton.
+    Least squares over amplitude, constant, y and x at the width of the PSF and a pixel, by Gauss and Newton, from
+    `start` (spot, 2) beside the pixel on.
     """
     if len(frame) == 0:
         return np.zeros((0, 2)), np.zeros(0, dtype=bool)

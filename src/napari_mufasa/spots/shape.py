@@ -19,6 +19,18 @@ class Shapes:
     sigma_px: NDArray[np.float64]
 
 
+def light_around(traces: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(spot, frame) mean signal in the frames before and after, none below 0; of a single frame its own."""
+    near = np.zeros_like(traces)
+    if traces.shape[1] > 1:
+        near[:, 1:] += traces[:, :-1]
+        near[:, :-1] += traces[:, 1:]
+        near[:, 1:-1] *= 0.5
+    else:
+        near += traces
+    return np.maximum(near, 0.0)
+
+
 class LitImages:
     """Accumulates, block by block, each molecule's image over the frames in which it shines.
 
@@ -32,17 +44,8 @@ class LitImages:
         self.offsets = np.zeros((*shape, 2))
         self.inside = np.ones(shape, dtype=bool)
 
-    def add(
-        self, opening: Aperture, stack: Stack, traces: NDArray[np.float32], backgrounds: NDArray[np.float32]
-    ) -> None:
-        near = np.zeros_like(traces)
-        if traces.shape[1] > 1:
-            near[:, 1:] += traces[:, :-1]
-            near[:, :-1] += traces[:, 1:]
-            near[:, 1:-1] *= 0.5
-        else:
-            near += traces
-        near = np.maximum(near, 0.0)
+    def add(self, opening: Aperture, stack: Stack, near: NDArray[np.float32], backgrounds: NDArray[np.float32]) -> None:
+        """near : (spot, frame) see `light_around`"""
         flat = stack.reshape(len(stack), -1)
         for t in range(len(stack)):
             self.images += near[:, t, None] * (flat[t][opening.window] - backgrounds[:, t, None])

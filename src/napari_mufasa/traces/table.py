@@ -28,14 +28,31 @@ def trace_table(traces: TraceSet) -> pd.DataFrame:
     return table
 
 
+def path_table(traces: TraceSet) -> pd.DataFrame:
+    """Where the kept molecules were followed to, tidy (molecule, frame, y_px, x_px), from first to last sighting."""
+    import pandas as pd
+
+    assert traces.path_px is not None  # they were followed
+    parts = []
+    for i in np.flatnonzero(traces.kept):
+        row = traces.molecules.iloc[i]
+        frames = np.arange(row["first_found"], row["last_found"] + 1)
+        y, x = np.round(traces.path_px[i, frames], 3).T
+        parts.append(pd.DataFrame({"molecule": row["molecule"], "frame": frames, "y_px": y, "x_px": x}))
+    return pd.concat(parts) if parts else pd.DataFrame(columns=["molecule", "frame", "y_px", "x_px"])
+
+
 def write_traces(directory: PathLike, traces: TraceSet, *, hdf5: bool = False) -> None:
-    """traces.csv with the kept traces and molecules.csv with every candidate and its reason; with `hdf5` traces.h5.
+    """traces.csv with the kept traces and molecules.csv with every candidate and its reason; of molecules that were
+    followed paths.csv; with `hdf5` traces.h5.
 
     traces.h5 holds the kept traces (``traces``, ``molecule``), the table's columns in the group ``molecules`` and
     every candidate's whole trace in ``all_traces``.
     """
     write_table(Path(directory) / "traces.csv", trace_table(traces))
     write_table(Path(directory) / "molecules.csv", traces.molecules)
+    if traces.path_px is not None:
+        write_table(Path(directory) / "paths.csv", path_table(traces))
     if not hdf5:
         return
     kept = traces.molecules["molecule"].to_numpy()[traces.kept]
