@@ -26,6 +26,7 @@ FLOORS = (
     ("design",),
     ("discover",),
     ("report",),
+    ("batch",),
     ("samples",),
     ("widgets",),
     ("cli",),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from napari_mufasa import files
     from napari_mufasa.model.model import Model
     from napari_mufasa.model.setup import Camera
-    from napari_mufasa.report.figures import Drawing
     from napari_mufasa.traces.extract import TraceSet
 
 # What verbs write, as patterns.
@@ -145,6 +144,7 @@ def traces(
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
     from napari_mufasa import files
     from napari_mufasa.model.model import Model
+    from napari_mufasa.report import figures
     from napari_mufasa.traces import extract_traces
     from napari_mufasa.traces.table import write_traces
 
@@ -163,7 +163,7 @@ def traces(
         )  # fmt: skip
     with console.filling(out, believed, None, (movie, model, dark)) as folder:
         write_traces(folder, found, hdf5=hdf5)
-        write_figures(folder, _molecules_and_traces(recorded, found))
+        figures.write(folder, figures.molecule_drawings(recorded, found))
     _tell_molecules(out, found)
 
 
@@ -172,20 +172,6 @@ def _following(molecules: bool, max_step: float | None, max_gap: int | None) -> 
     if given and not molecules:
         raise MufasaError("--max-step and --max-gap belong to molecules that are followed: add --follow-molecules")
     return {"follow_molecules": molecules, **given}
-
-
-def _molecules_and_traces(recorded: Any, found: TraceSet) -> list[Drawing]:
-    from napari_mufasa.report import figures
-    from napari_mufasa.report import plots as plotting
-
-    picture = figures.mean_image(recorded)
-    kept = found.molecules["molecule"][found.kept].tolist()
-    return [
-        figures.Drawing(
-            "molecules", "", (5.4, 5.0), lambda f: plotting.molecules(f.add_subplot(), picture, found.molecules)
-        ),
-        figures.Drawing("traces", "", (7.2, 6.2), lambda f: plotting.contact_sheet(f, found.traces, kept, most=24)),
-    ]
 
 
 def _tell_molecules(out: Path, found: TraceSet) -> None:
@@ -245,7 +231,7 @@ def compare(
             result = comparing.compare_traces(**table, model=believed, **shared, **work.both())
     with console.filling(out, believed, seed, (movie or traces, model, dark)) as folder:
         files.write_json(folder / "report.json", result.report())
-        write_figures(folder, figures.comparison_drawings(result))
+        figures.write(folder, figures.comparison_drawings(result))
     rows = [(name, value) for name, value in result.w1.items() if name != "unit"]
     console.print_table(("W1", str(result.w1["unit"])), rows)
     for note in result.notes:
@@ -279,11 +265,6 @@ def trace_table(
         "profile": profile or ("brightest_pixel" if raw else "psf"),
         "background_subtracted": not (raw if with_background is None else with_background),
     }
-
-
-def write_figures(folder: Path, drawings: Sequence[Drawing]) -> None:
-    for drawing in drawings:
-        (folder / f"{drawing.name}.png").write_bytes(drawing.render("light"))
 
 
 VERBS = (denoise, traces, compare)
