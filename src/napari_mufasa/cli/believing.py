@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -127,6 +127,23 @@ def propose(
     typer.echo(f"{out}: a model to start from")
 
 
+def info(movie: MovieFile) -> None:
+    """Print what a movie is: its size, and what the recording software wrote of the instrument."""
+    from napari_mufasa import files
+
+    read = files.read_movie(movie)
+    n_frames, height, width = read.data.shape
+    model = read.metadata.get("model")
+    rows: list[tuple[str, Any]] = [
+        ("frames", n_frames),
+        ("pixels", f"{height} × {width}"),
+        ("numbers", str(read.data.dtype)),
+    ]
+    rows += list(read.instrument.known().items())
+    rows += [("model", f"{model.get('protocol')}, seed {read.seed}")] if isinstance(model, dict) else []
+    console.print_table(("what", "value"), rows)
+
+
 def _rows(found: Calibration) -> list[tuple[str, str]]:
     readout = found.readout
     values = {
@@ -153,4 +170,4 @@ def _measured(found: Value) -> str:
     return f"{found.value:.4g} [{low:.4g}, {high:.4g}]" if math.isfinite(low) else f"{found.value:.4g} (given)"
 
 
-VERBS = (calibrate, propose)
+VERBS = (calibrate, propose, info)

@@ -19,7 +19,9 @@ ThresholdName = Literal["sigma", "percentile", "otsu", "triangle"]
 TimesName = Literal["model", "tool"]
 MethodName = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
 
-MovieFile = Annotated[Path, typer.Argument(metavar="MOVIE", help="TIFF, OME-TIFF or zarr, (frame, y, x).")]
+MovieFile = Annotated[
+    Path, typer.Argument(metavar="MOVIE", help="TIFF, zarr, .nd2, .sif, .czi, .lif or .pma: (frame, y, x).")
+]
 ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL.json", help="The model (see 'presets').")]
 DarkFile = Annotated[Path | None, typer.Option("--dark", metavar="DARK", help="Frames without light.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write into.")]

@@ -22,6 +22,21 @@ def movie_facts(name: str, shape: tuple[int, ...], dtype: Any, size_um: float | 
     return f"<b>{name}</b>: {frames} frames of {height} × {width} px, {dtype}<br>{size}<br>{carried}"
 
 
+def instrument_line(known: dict[str, Any]) -> str:
+    """What the recording software wrote, with units."""
+    words = {
+        "pixel_size_nm": ("pixel size", "nm", 1.0), "exposure_s": ("exposure", "ms", 1e3),
+        "interval_s": ("frame every", "ms", 1e3), "em_gain": ("EM gain setting", "", 1.0), "camera": ("camera", "", 1.0),
+        "preamp_gain": ("preamplifier", "", 1.0), "readout_rate_hz": ("read-out", "MHz", 1e-6),
+        "bit_depth": ("depth", "bit", 1.0), "baseline_adu": ("baseline setting", "ADU", 1.0),
+    }  # fmt: skip
+    told = []
+    for name, value in known.items():
+        word, unit, factor = words[name]
+        told.append(f"{word} {value if isinstance(value, str) else f'{value * factor:.5g}'} {unit}".rstrip())
+    return ", ".join(told)
+
+
 def calibration_line(found: Calibration) -> str:
     """What was measured of a camera."""
     return (
