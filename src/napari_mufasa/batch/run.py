@@ -5,41 +5,20 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from napari_mufasa import checks, files, provenance
 from napari_mufasa.batch.movies import Entry
+from napari_mufasa.batch.settings import Settings
 from napari_mufasa.batch.steps import STEPS
 from napari_mufasa.errors import Cancelled, MufasaError
 
 if TYPE_CHECKING:
-    from napari_mufasa.denoise.pipeline import Method
     from napari_mufasa.model.model import Model
 
 DONE = "done.json"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """What is done to every movie: `steps` in order (of `STEPS`), and their options."""
-
-    steps: tuple[str, ...]
-    seed: int = 1
-    effects: tuple[str, ...] | None = None
-    budget: int | None = None
-    follow_drift: bool = False
-    follow_molecules: bool = False
-    method: Method = "pure-let-movie"
-
-    def of(self, step: str) -> dict[str, Any]:
-        """The options that this step depends on."""
-        names = {
-            "denoise": ("method",), "traces": ("follow_drift", "follow_molecules"), "compare": ("follow_drift", "seed"),
-            "diagnose": ("seed", "effects", "budget"),
-        }[step]  # fmt: skip
-        return {name: value for name, value in asdict(self).items() if name in names}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from napari_mufasa import files
 
 if TYPE_CHECKING:
-    from napari_mufasa.batch.run import Settings
+    from napari_mufasa.batch.settings import Settings
     from napari_mufasa.model.model import Model
 
 Told = dict[str, Any]

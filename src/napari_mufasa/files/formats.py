@@ -54,7 +54,8 @@ class FrameReader:
         numbers = np.arange(self.shape[0])[first]
         with self._lock, self._reading() as read:
             if np.ndim(numbers) == 0:
-                return np.asarray(read(int(numbers)), self.dtype)[tuple(rest)]
+                frame: NDArray[Any] = np.asarray(read(int(numbers)), self.dtype)[tuple(rest)]
+                return frame
             stack = np.empty((len(numbers), *self.shape[1:]), self.dtype)
             for i, number in enumerate(numbers):
                 stack[i] = read(int(number))

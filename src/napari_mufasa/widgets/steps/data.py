@@ -22,8 +22,8 @@ from napari_mufasa.files.layers import (
     stack_of,
     stored,
 )
-from napari_mufasa.report.lines import instrument_line, movie_facts
 from napari_mufasa.propose.written import as_written, values_written
+from napari_mufasa.report.lines import instrument_line, movie_facts
 from napari_mufasa.samples import SAMPLES
 from napari_mufasa.widgets.parts.forms import dress_one, widget_of
 from napari_mufasa.widgets.parts.layers import added_hidden
