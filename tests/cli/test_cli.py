@@ -207,6 +207,7 @@ def test_traces_follow_molecules(cli, movie_file, model_file, tmp_path):
     shared = ("traces", movie_file, "--model", model_file)
     code, out, _ = cli(*shared, "--follow-molecules", "--max-step", 2, "--max-gap", 3, "--out", tmp_path / "t")
     assert code == 0 and "followed molecules: found in" in out and "px² per frame" in out
+    assert not (tmp_path / "t/traces.openfret.json").exists()
     molecules, paths = pd.read_csv(tmp_path / "t/molecules.csv"), pd.read_csv(tmp_path / "t/paths.csv")
     kept = molecules[molecules["kept"]]
     assert {"diffusion_px2_per_frame", "drift_y_px_per_frame", "found_frames"} <= set(kept.columns) and len(kept) >= 5

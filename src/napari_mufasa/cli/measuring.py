@@ -44,7 +44,8 @@ if TYPE_CHECKING:
 
 # What verbs write, as patterns.
 TRACES = (
-    "traces.csv", "molecules.csv", "paths.csv", "traces.h5", "molecules.png", "traces.png", "traces.provenance.json",
+    "traces.csv", "molecules.csv", "paths.csv", "traces.h5", "traces.openfret.json", "molecules.png",
+    "traces.png", "traces.provenance.json",
 )  # fmt: skip
 COMPARISON = ("report.json", "w1.png", "counts.png", "distributions.png", "traces.png", "compare.provenance.json")
 
@@ -139,6 +140,7 @@ def traces(
     ] = None,
     min_snr: Annotated[float, typer.Option("--min-snr", min=0, metavar="R", help="Level over noise per frame.")] = 1.0,
     hdf5: Annotated[bool, typer.Option("--hdf5", help="Also write traces.h5, traces and table in one file.")] = False,
+    openfret: Annotated[bool, typer.Option("--openfret", help="Also write traces.openfret.json.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
@@ -162,7 +164,7 @@ def traces(
             min_snr=min_snr, **_following(follow_molecules, max_step, max_gap), **work.both(),
         )  # fmt: skip
     with console.filling(out, believed, None, (movie, model, dark)) as folder:
-        write_traces(folder, found, hdf5=hdf5)
+        write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
         figures.write(folder, figures.molecule_drawings(recorded, found))
     _tell_molecules(out, found)
 
