@@ -48,7 +48,7 @@ def read_openfret(path: PathLike, channel: str) -> tuple[NDArray[np.float64], st
     """
     data = read_json(path, "an OpenFRET file")
     if not isinstance(data, dict) or not isinstance(data.get("traces"), list) or not data["traces"]:
-        raise MufasaError(f"{path} holds no traces in the OpenFRET format: export them anew")
+        raise MufasaError(f"cannot read traces from {path}: it holds none in the OpenFRET format; export them anew")
     rows, ids, unit = [], [], None
     for number, trace in enumerate(data["traces"]):
         named = {str(each["channel_type"]).lower(): each for each in trace["channels"]}
