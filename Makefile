@@ -4,7 +4,7 @@
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format blind validate bench-denoise bench-diagnose stalls trust fuzz kill soak audit \
+.PHONY: help setup demo test lint format blind validate bench bench-denoise bench-diagnose stalls trust fuzz kill soak audit \
 	screenshots docs clean
 
 export PYTHON
@@ -38,6 +38,9 @@ blind: setup ## the whole hidden-effect trial (hours); writes docs/blind_trial.m
 
 validate: setup ## the physics against known answers
 	$(PY) -m benchmarks.validate $(ARGS)
+
+bench: setup ## speed as ratios, growth and memory; writes benchmarks/results/speed.md; ARGS=--quick for a minute
+	$(PY) -m benchmarks.speed $(ARGS)
 
 bench-denoise: setup ## denoisers against ground truth and against BM3D
 	@tools/setup.sh bench
