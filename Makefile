@@ -16,7 +16,7 @@ help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' Makefile
 
 setup: ## .venv, all Python packages, missing system libraries (apt when root)
-	@tools/setup.sh all,test
+	@tools/setup.sh all,formats,test
 
 demo: setup ## the main job without a screen: hide an effect, find it from the files alone; writes demo/
 	.venv/bin/napari-mufasa demo --out demo --overwrite $(ARGS)

@@ -12,6 +12,7 @@ from napari_mufasa.camera.frames import Frames
 from napari_mufasa.effects import effect_from_data
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.simulate.movie import SimulatedAcquisition
+from napari_mufasa.spots.aperture import aperture, read_frame
 from napari_mufasa.spots.diffusion import motion_of
 from napari_mufasa.spots.link import link
 from napari_mufasa.spots.locate import Places, locate
@@ -184,6 +185,20 @@ def test_places_of_single_frames_have_no_error_in_common():
     product = np.nanmean(errors[:, 1:] * errors[:, :-1]) / np.nanmean(errors**2)
     count = np.isfinite(errors[:, 1:] * errors[:, :-1]).sum()
     assert abs(product) < 5 / np.sqrt(count) + 0.02  # the mean of 300 that is taken off makes −1/300
+
+
+@pytest.mark.parametrize("profile", ["psf", "sum", "brightest_pixel"])
+@pytest.mark.parametrize("subtract", [True, False])
+def test_a_frame_is_read_as_by_the_operators(profile, subtract):
+    rng = np.random.default_rng(2)
+    frame = rng.normal(100, 20, (48, 64)).astype(np.float32)
+    for places in (rng.uniform(-2, 66, (40, 2)) * (0.7, 1.0), np.array([[5.0, 5.0], [5.4, 8.2], [40.0, 60.0]])):
+        reading = read_frame(frame, places, 1.3, profile, subtract_background=subtract)
+        opening = aperture(places, frame.shape, 1.3, profile, subtract_background=subtract)
+        trace, background = opening.traces(frame[None])
+        np.testing.assert_allclose(reading.trace, trace[:, 0], rtol=1e-4, atol=0.02)
+        np.testing.assert_allclose(reading.background, background[:, 0], rtol=1e-5)
+        np.testing.assert_array_equal(reading.window, opening.window)
 
 
 def test_an_empty_movie_has_no_molecules():

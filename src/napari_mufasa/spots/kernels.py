@@ -189,3 +189,34 @@ def walks(t, path, shares):  # type: ignore[no-untyped-def]
         result[k, 3] = tx / information
         result[k, 4] = information
     return result
+
+
+@vectorised
+def ring_means(frame, positions, centre, lit, inner, outer, enough):  # type: ignore[no-untyped-def]
+    """Mean (candidate,) of the pixels of a frame (y, x) between two distances of each position (candidate, 2) that are
+    not `lit` (y, x); of all of them where fewer than `enough` are left, of the square around where there are none."""
+    height, width = frame.shape
+    n = positions.shape[0]
+    result = np.zeros(n)
+    for i in range(n):
+        clean, ring, square = 0.0, 0.0, 0.0
+        n_clean, n_ring, n_square = 0, 0, 0
+        for y in range(max(centre[i, 0] - outer, 0), min(centre[i, 0] + outer + 1, height)):
+            for x in range(max(centre[i, 1] - outer, 0), min(centre[i, 1] + outer + 1, width)):
+                value = np.float64(frame[y, x])
+                square += value
+                n_square += 1
+                distance = np.hypot(y - positions[i, 0], x - positions[i, 1])
+                if inner <= distance <= outer:
+                    ring += value
+                    n_ring += 1
+                    if not lit[y, x]:
+                        clean += value
+                        n_clean += 1
+        if n_clean >= enough:
+            result[i] = clean / n_clean
+        elif n_ring > 0:
+            result[i] = ring / n_ring
+        elif n_square > 0:
+            result[i] = square / n_square
+    return result

@@ -95,7 +95,9 @@ def link(
     kept = long[path] if len(path) else np.zeros(0, dtype=bool)
     found = np.full((2, int(long.sum()), n_frames, 2), np.nan)
     found[:, number[path[kept]], places.frame[kept]] = places.position_px[kept], places.own_px[kept]
-    strength = np.array([np.median(places.strength[path == i]) for i in np.flatnonzero(long)])
+    order = np.argsort(number[path[kept]], kind="stable")
+    each = np.split(places.strength[kept][order], np.cumsum(count[long])[:-1])
+    strength = np.array([np.median(values) for values in each if len(values)], dtype=np.float64)
     return Paths(found[0], found[1], strength, int((~long).sum()))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.camera.frames import Stack
-from napari_mufasa.spots.aperture import Aperture
+from napari_mufasa.spots.aperture import Aperture, Reading
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,9 @@ class LitImages:
         self.offsets = np.zeros((*shape, 2))
         self.inside = np.ones(shape, dtype=bool)
 
-    def add(self, opening: Aperture, stack: Stack, near: NDArray[np.float32], backgrounds: NDArray[np.float32]) -> None:
+    def add(
+        self, opening: Aperture | Reading, stack: Stack, near: NDArray[np.float32], backgrounds: NDArray[np.float32]
+    ) -> None:
         """near : (spot, frame) see `light_around`"""
         flat = stack.reshape(len(stack), -1)
         for t in range(len(stack)):

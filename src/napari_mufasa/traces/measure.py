@@ -57,24 +57,22 @@ def measure_along(
 ) -> Measured:  # fmt: skip
     """The same along paths (molecule, frame, 2); the lit image is that of the frames in which each was `seen`
     (molecule, frame)."""
-    shape = frames.shape[1:]
     traces = np.empty(path_px.shape[:2], np.float32)
     background = np.empty_like(traces)
     lit_images: LitImages | None = None
     level = _Level()
     for start, stack in frames.blocks(report=report, cancel=cancel):
-        openings = []
+        readings = []
         for t in range(len(stack)):
-            opening = aperture.aperture(
-                path_px[:, start + t], shape, sigma, options.profile, subtract_background=options.subtract_background
+            reading = aperture.read_frame(
+                stack[t], path_px[:, start + t], sigma, options.profile, subtract_background=options.subtract_background
             )
-            at = slice(start + t, start + t + 1)
-            traces[:, at], background[:, at] = opening.traces(stack[t : t + 1])
-            openings.append(opening)
+            traces[:, start + t], background[:, start + t] = reading.trace, reading.background
+            readings.append(reading)
         near = light_around(traces[:, start : start + len(stack)]) * seen[:, start : start + len(stack)]
-        lit_images = lit_images or LitImages(openings[0].window.shape)
-        for t, opening in enumerate(openings):
-            lit_images.add(opening, stack[t : t + 1], near[:, t : t + 1], background[:, start + t : start + t + 1])
+        lit_images = lit_images or LitImages(readings[0].window.shape)
+        for t, reading in enumerate(readings):
+            lit_images.add(reading, stack[t : t + 1], near[:, t : t + 1], background[:, start + t : start + t + 1])
         level.add(stack)
     assert lit_images is not None  # a movie has frames
     return Measured(traces, background, lit_images.measure(sigma), level.noise_e(), level.mean_e())
