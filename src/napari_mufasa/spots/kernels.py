@@ -206,8 +206,8 @@ def ring_means(frame, positions, centre, lit, inner, outer, enough):  # type: ig
                 value = np.float64(frame[y, x])
                 square += value
                 n_square += 1
-                distance = np.hypot(y - positions[i, 0], x - positions[i, 1])
-                if inner <= distance <= outer:
+                distance2 = (y - positions[i, 0]) ** 2 + (x - positions[i, 1]) ** 2
+                if inner * inner <= distance2 <= outer * outer:
                     ring += value
                     n_ring += 1
                     if not lit[y, x]:
