@@ -4,7 +4,7 @@
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format blind validate bench-denoise bench-diagnose stalls trust fuzz kill soak audit \
+.PHONY: help setup demo test lint format blind validate bench bench-denoise bench-diagnose stalls trust fuzz kill soak audit \
 	screenshots docs clean
 
 export PYTHON
@@ -16,7 +16,7 @@ help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' Makefile
 
 setup: ## .venv, all Python packages, missing system libraries (apt when root)
-	@tools/setup.sh all,test
+	@tools/setup.sh all,formats,test
 
 demo: setup ## the main job without a screen: hide an effect, find it from the files alone; writes demo/
 	.venv/bin/napari-mufasa demo --out demo --overwrite $(ARGS)
@@ -38,6 +38,9 @@ blind: setup ## the whole hidden-effect trial (hours); writes docs/blind_trial.m
 
 validate: setup ## the physics against known answers
 	$(PY) -m benchmarks.validate $(ARGS)
+
+bench: setup ## speed as ratios, growth and memory; writes benchmarks/results/speed.md; ARGS=--quick for a minute
+	$(PY) -m benchmarks.speed $(ARGS)
 
 bench-denoise: setup ## denoisers against ground truth and against BM3D
 	@tools/setup.sh bench

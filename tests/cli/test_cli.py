@@ -205,6 +205,21 @@ def test_traces_are_tables_whose_level_is_the_designs(cli, movie_file, model_fil
     assert {"traces.png", "molecules.png"} <= set(leftovers(tmp_path / "t"))
 
 
+def test_traces_follow_molecules(cli, movie_file, model_file, tmp_path):
+    shared = ("traces", movie_file, "--model", model_file)
+    code, out, _ = cli(*shared, "--follow-molecules", "--max-step", 2, "--max-gap", 3, "--out", tmp_path / "t")
+    assert code == 0 and "followed molecules: found in" in out and "px² per frame" in out
+    assert not (tmp_path / "t/traces.openfret.json").exists()
+    molecules, paths = pd.read_csv(tmp_path / "t/molecules.csv"), pd.read_csv(tmp_path / "t/paths.csv")
+    kept = molecules[molecules["kept"]]
+    assert {"diffusion_px2_per_frame", "drift_y_px_per_frame", "found_frames"} <= set(kept.columns) and len(kept) >= 5
+    assert list(paths.columns) == ["molecule", "frame", "y_px", "x_px"] and set(paths["molecule"]) == set(
+        kept["molecule"]
+    )
+    code, _, err = cli(*shared, "--max-step", 2, "--out", tmp_path / "u")
+    assert code == 2 and "--follow-molecules" in err
+
+
 @pytest.mark.parametrize(
     ("value", "word"),
     [(300, "nothing was recorded"), (65535, "saturated"), (None, "all frames of the movie are equal")],

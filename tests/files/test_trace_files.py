@@ -117,3 +117,31 @@ def test_real_fret_traces():
     assert found.traces.shape == (520, 1500)
     assert found.positions_px is not None
     assert len(found.positions_px) == 520
+
+
+def test_openfret_is_what_its_own_library_reads_and_writes(tmp_path):
+    openfret = pytest.importorskip("openfret")
+    traces = np.random.default_rng(1).normal(100, 10, (5, 30)).round(3)
+    write_trace_file(tmp_path / "t.json", traces, "photoelectrons", np.array([3, 5, 8, 9, 20]))
+    back = openfret.read_data(str(tmp_path / "t.json"))
+    assert [trace.metadata["molecule"] for trace in back.traces] == [3, 5, 8, 9, 20]
+    np.testing.assert_allclose([trace.channels[0].data for trace in back.traces], traces)
+    own = read_trace_file(tmp_path / "t.json")
+    assert own.unit == "photoelectrons" and list(own.molecules) == [3, 5, 8, 9, 20]
+    np.testing.assert_allclose(own.traces, traces)
+    # A file of theirs, with two channels and no unit.
+    channels = [openfret.Channel("donor", list(range(10))), openfret.Channel("acceptor", [2.0] * 10, exposure_time=0.1)]
+    openfret.write_data(openfret.Dataset("theirs", [openfret.Trace(channels)] * 3), str(tmp_path / "u.json"))
+    theirs = {
+        channel: read_trace_file(tmp_path / "u.json", channel=channel) for channel in ("donor", "acceptor", "sum")
+    }
+    assert theirs["donor"].traces.shape == (3, 10) and theirs["donor"].unit == "adu"
+    np.testing.assert_array_equal(theirs["sum"].traces[0], np.arange(10) + 2.0)
+
+
+@pytest.mark.parametrize("text", ["{}", '{"traces": []}', '{"traces": [{"channels": []}]}', '{"traces": [{}]}', "[1]"])
+def test_what_is_no_openfret_is_told_in_one_line(tmp_path, text):
+    (tmp_path / "t.json").write_text(text)
+    with pytest.raises(MufasaError) as caught:
+        read_trace_file(tmp_path / "t.json")
+    assert "\n" not in str(caught.value)

@@ -26,6 +26,7 @@ FLOORS = (
     ("design", "infer"),
     ("discover",),
     ("report",),
+    ("batch",),
     ("samples",),
     ("widgets",),
     ("cli",),

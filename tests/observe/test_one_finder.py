@@ -18,7 +18,7 @@ MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 
 def test_traces_and_observations_start_from_the_same_places(monkeypatch):
     from napari_mufasa.spots import find, follow
-    from napari_mufasa.traces import extract
+    from napari_mufasa.traces import candidates
 
     finder = find.find_spots
     for camera in ("emccd", "ccd", "cmos"):
@@ -31,7 +31,7 @@ def test_traces_and_observations_start_from_the_same_places(monkeypatch):
             places.append(found.positions_px)
             return found
 
-        monkeypatch.setattr(extract.find, "find_spots", spy)
+        monkeypatch.setattr(candidates.find, "find_spots", spy)
         monkeypatch.setattr(follow, "find_spots", spy)
         extract_traces(case.movie, model.camera, psf_sigma_px=model.sigma_px)
         spots = observe(case.movie, model).spots

@@ -278,3 +278,38 @@ def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, br
     assert session_of(with_movie).model.camera == wanted
     assert panel.editor.form.read("electrons_per_adu") == wanted.electrons_per_adu
     assert "367" in panel.result.text() and "(measured)" in session_of(with_movie).model_origin
+
+
+def test_molecules_that_are_followed_are_shown_as_tracks(with_movie, open_panel, run):
+    panel = open_panel(MoleculesPanel, with_movie)
+    panel.form.follow_molecules.value = True
+    run(panel)
+    tracks = next(layer for layer in with_movie.layers if type(layer).__name__ == "Tracks")
+    assert tracks.visible and len(set(tracks.data[:, 0])) == int(panel.traces.kept.sum()) > 0
+    assert with_movie.layers[-1].name.endswith("molecules")
+    assert "Followed molecules" in panel.run_bar.message.text()
+    panel.select(int(panel.traces.molecules["molecule"].iloc[0]))
+    assert "diffusion_px2_per_frame" in with_movie.layers[-1].features
+
+
+def test_what_the_file_says_of_the_instrument_is_shown_and_believed_on_a_click(viewer, open_panel, tmp_path, qtbot):
+    from napari_mufasa.widgets.steps.data import DataPanel
+
+    czi = pytest.importorskip("pylibCZIrw.czi")
+    with czi.create_czi(str(tmp_path / "zeiss.czi")) as file:
+        for t in range(6):
+            file.write(data=np.random.default_rng(t).integers(90, 200, (16, 24, 1), np.uint16), plane={"T": t})
+        written = {"ExposureTime": 0.03, "EMGain": 250}
+        file.write_metadata("movie", scale_x=107.5e-9, scale_y=107.5e-9, custom_attributes=written)
+    panel = open_panel(DataPanel, viewer)
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.open_movie(str(tmp_path / "zeiss.czi"))
+    layer = session_of(viewer).movie_layer
+    assert layer.name == "zeiss" and tuple(layer.scale) == pytest.approx((1, 0.1075, 0.1075))
+    assert "exposure 30 ms" in panel.facts.text() and "EM gain setting 250" in panel.facts.text()
+    assert session_of(viewer).model.acquisition.pixel_size_nm != pytest.approx(107.5)
+    assert not panel.use_instrument.isHidden()
+    panel.use_instrument.click()
+    timing = session_of(viewer).model.acquisition
+    assert timing.pixel_size_nm == pytest.approx(107.5) and timing.frame_length_s == pytest.approx(0.03)
+    assert panel.use_instrument.isHidden()

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from magicgui.widgets import CheckBox, ComboBox, FunctionGui
-from napari.layers import Image, Layer, Points
+from napari.layers import Image, Layer, Points, Tracks
 
 import napari_mufasa.widgets as widgets
 from napari_mufasa.effects import catalogue
@@ -340,3 +340,24 @@ def test_every_layer_that_a_step_gives_can_be_shown(viewer, layer):
     layers = widget()
     assert all(isinstance(made, Layer) for made in layers)
     assert layers[0] in viewer.layers
+
+
+def test_molecules_that_are_followed_come_with_their_paths(layer, bright_movie, bright_model):
+    from napari_mufasa.traces import extract_traces
+
+    widget = widgets.traces_widget()
+    widget.movie.value, widget.model.value = layer, bright_model
+    widget.dark_frames.value, widget.follow_molecules.value = 3, True
+    points, tracks = widget()
+    wanted = extract_traces(
+        bright_movie.movie[3:], bright_model.camera, follow_molecules=True, threshold_value=6.0, min_snr=1.0
+    )
+    table = wanted.molecules[wanted.kept]
+    assert isinstance(points, Points) and isinstance(tracks, Tracks)
+    assert np.allclose(points.data, wanted.positions_px)
+    assert sorted(set(tracks.data[:, 0].astype(int))) == sorted(table["molecule"])
+    one = table.iloc[0]
+    rows = tracks.data[tracks.data[:, 0] == one["molecule"]]
+    assert len(rows) == one["last_found"] - one["first_found"] + 1
+    assert np.allclose(rows[:, 2:], wanted.path_px[one["molecule"], one["first_found"] : one["last_found"] + 1])
+    assert tuple(tracks.scale) == (1, 0.1, 0.1) and tracks.translate[0] == 3

@@ -60,8 +60,10 @@ def _run(arguments: list[str], debug: bool) -> int:
             result = app(spread_lists(arguments), prog_name="napari-mufasa", standalone_mode=False)
         sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt, Cancelled):
-        kept = "finished blocks are kept, the same command goes on from them"
-        return _say(f"stopped; {kept if '--resume' in arguments else 'nothing is half-written'}", STOPPED)
+        finished = "movies" if arguments[:1] == ["batch"] else "blocks"
+        kept = f"finished {finished} are kept, the same command goes on from them"
+        resumes = finished == "movies" or "--resume" in arguments
+        return _say(f"stopped; {kept if resumes else 'nothing is half-written'}", STOPPED)
     except typer.Exit as leaving:
         return leaving.exit_code
     except MufasaError as error:

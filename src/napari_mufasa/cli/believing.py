@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -167,6 +167,23 @@ def infer(
     typer.echo(f"{out}: the model with what was inferred")
 
 
+def info(movie: MovieFile) -> None:
+    """Print what a movie is: its size, and what the recording software wrote of the instrument."""
+    from napari_mufasa import files
+
+    read = files.read_movie(movie)
+    n_frames, height, width = read.data.shape
+    model = read.metadata.get("model")
+    rows: list[tuple[str, Any]] = [
+        ("frames", n_frames),
+        ("pixels", f"{height} × {width}"),
+        ("numbers", str(read.data.dtype)),
+    ]
+    rows += list(read.instrument.known().items())
+    rows += [("model", f"{model.get('protocol')}, seed {read.seed}")] if isinstance(model, dict) else []
+    console.print_table(("what", "value"), rows)
+
+
 def _rows(found: Calibration) -> list[tuple[str, str]]:
     readout = found.readout
     values = {
@@ -193,4 +210,4 @@ def _measured(found: Value) -> str:
     return f"{found.value:.4g} [{low:.4g}, {high:.4g}]" if math.isfinite(low) else f"{found.value:.4g} (given)"
 
 
-VERBS = (calibrate, propose, infer)
+VERBS = (calibrate, propose, infer, info)

@@ -208,6 +208,12 @@ def tell_disagreement(movie: Any, model: Model) -> None:
     size_nm = movie.pixel_size_nm
     if size_nm is not None and abs(size_nm / timing.pixel_size_nm - 1) > 0.01:
         note(f"the movie's pixels are {size_nm:g} nm, the model's {timing.pixel_size_nm:g} nm: the model's count")
+    exposure_s, gain = movie.instrument.exposure_s, movie.instrument.register_gain
+    if exposure_s is not None and abs(exposure_s / timing.frame_length_s - 1) > 0.01:
+        said = f"{1000 * exposure_s:g} ms, the model says {1000 * timing.frame_length_s:g} ms"
+        note(f"the movie was exposed for {said}: the model's count")
+    if gain is not None and model.camera.em_gain and abs(gain / model.camera.em_gain - 1) > 0.5:
+        note(f"the movie's EM gain was set to {gain:g}, the model says {model.camera.em_gain:g}: the model's counts")
 
 
 def tell_mismatches(path: Path, movie: Any, model: Model, dark: Any = None) -> None:

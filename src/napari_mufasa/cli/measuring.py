@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +14,9 @@ from napari_mufasa.cli.options import (
     Best,
     DarkFile,
     FollowDrift,
+    FollowMolecules,
+    MaxGap,
+    MaxStep,
     MaxSteps,
     MethodName,
     ModelFile,
@@ -37,11 +40,13 @@ if TYPE_CHECKING:
     from napari_mufasa import files
     from napari_mufasa.model.model import Model
     from napari_mufasa.model.setup import Camera
-    from napari_mufasa.report.figures import Drawing
     from napari_mufasa.traces.extract import TraceSet
 
 # What verbs write, as patterns.
-TRACES = ("traces.csv", "molecules.csv", "traces.h5", "molecules.png", "traces.png", "traces.provenance.json")
+TRACES = (
+    "traces.csv", "molecules.csv", "paths.csv", "traces.h5", "traces.openfret.json", "molecules.png",
+    "traces.png", "traces.provenance.json",
+)  # fmt: skip
 COMPARISON = ("report.json", "w1.png", "counts.png", "distributions.png", "traces.png", "compare.provenance.json")
 
 
@@ -118,6 +123,9 @@ def traces(
         int | None, typer.Option("--min-steps", min=0, metavar="N", help="At least N bleaching steps.")
     ] = None,
     follow_drift: FollowDrift = False,
+    follow_molecules: FollowMolecules = False,
+    max_step: MaxStep = None,
+    max_gap: MaxGap = None,
     profile: Annotated[
         ProfileName, typer.Option("--profile", help="The whole spot (psf), a disc (sum), or one pixel.")
     ] = "psf",
@@ -132,11 +140,13 @@ def traces(
     ] = None,
     min_snr: Annotated[float, typer.Option("--min-snr", min=0, metavar="R", help="Level over noise per frame.")] = 1.0,
     hdf5: Annotated[bool, typer.Option("--hdf5", help="Also write traces.h5, traces and table in one file.")] = False,
+    openfret: Annotated[bool, typer.Option("--openfret", help="Also write traces.openfret.json.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
     from napari_mufasa import files
     from napari_mufasa.model.model import Model
+    from napari_mufasa.report import figures
     from napari_mufasa.traces import extract_traces
     from napari_mufasa.traces.table import write_traces
 
@@ -151,35 +161,32 @@ def traces(
             recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
             max_steps=max_steps, min_steps=min_steps, follow_drift=follow_drift, profile=profile,
             subtract_background=not with_background, threshold=threshold, threshold_value=threshold_value,
-            min_snr=min_snr, **work.both(),
+            min_snr=min_snr, **_following(follow_molecules, max_step, max_gap), **work.both(),
         )  # fmt: skip
     with console.filling(out, believed, None, (movie, model, dark)) as folder:
-        write_traces(folder, found, hdf5=hdf5)
-        write_figures(folder, _molecules_and_traces(recorded, found))
+        write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
+        figures.write(folder, figures.molecule_drawings(recorded, found))
     _tell_molecules(out, found)
 
 
-def _molecules_and_traces(recorded: Any, found: TraceSet) -> list[Drawing]:
-    from napari_mufasa.report import figures
-    from napari_mufasa.report import plots as plotting
-
-    picture = figures.mean_image(recorded)
-    kept = found.molecules["molecule"][found.kept].tolist()
-    return [
-        figures.Drawing(
-            "molecules", "", (5.4, 5.0), lambda f: plotting.molecules(f.add_subplot(), picture, found.molecules)
-        ),
-        figures.Drawing("traces", "", (7.2, 6.2), lambda f: plotting.contact_sheet(f, found.traces, kept, most=24)),
-    ]
+def _following(molecules: bool, max_step: float | None, max_gap: int | None) -> dict[str, Any]:
+    given = {name: v for name, v in (("max_step_px", max_step), ("max_gap", max_gap)) if v is not None}
+    if given and not molecules:
+        raise MufasaError("--max-step and --max-gap belong to molecules that are followed: add --follow-molecules")
+    return {"follow_molecules": molecules, **given}
 
 
 def _tell_molecules(out: Path, found: TraceSet) -> None:
+    from napari_mufasa.report.lines import moving_line
+
     typer.echo(f"{out}: {found.kept.sum()} molecules kept of {len(found.molecules)} candidates")
     reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
     for reason, count in reasons.value_counts().head(6).items():
         typer.echo(f"  {count} × {reason}")
+    if found.path_px is not None:
+        typer.echo(moving_line(found))
     for note in found.notes:
-        typer.echo(f"note: {note} (--follow-drift)")
+        typer.echo(f"note: {note}" + (" (--follow-drift)" if found.path_px is None else ""))
 
 
 def compare(
@@ -227,7 +234,7 @@ def compare(
             result = comparing.compare_traces(**table, model=believed, **shared, **work.both())
     with console.filling(out, believed, seed, (movie or traces, model, dark)) as folder:
         files.write_json(folder / "report.json", result.report())
-        write_figures(folder, figures.comparison_drawings(result))
+        figures.write(folder, figures.comparison_drawings(result))
     rows = [(name, value) for name, value in result.w1.items() if name != "unit"]
     console.print_table(("W1", str(result.w1["unit"])), rows)
     for note in result.notes:
@@ -261,11 +268,6 @@ def trace_table(
         "profile": profile or ("brightest_pixel" if raw else "psf"),
         "background_subtracted": not (raw if with_background is None else with_background),
     }
-
-
-def write_figures(folder: Path, drawings: Sequence[Drawing]) -> None:
-    for drawing in drawings:
-        (folder / f"{drawing.name}.png").write_bytes(drawing.render("light"))
 
 
 VERBS = (denoise, traces, compare)

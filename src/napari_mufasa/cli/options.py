@@ -20,7 +20,9 @@ ThresholdName = Literal["sigma", "percentile", "otsu", "triangle"]
 TimesName = Literal["model", "tool"]
 MethodName = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
 
-MovieFile = Annotated[Path, typer.Argument(metavar="MOVIE", help="TIFF, OME-TIFF or zarr, (frame, y, x).")]
+MovieFile = Annotated[
+    Path, typer.Argument(metavar="MOVIE", help="TIFF, zarr, .nd2, .sif, .czi, .lif or .pma: (frame, y, x).")
+]
 ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL.json", help="The model (see 'presets').")]
 DarkFile = Annotated[Path | None, typer.Option("--dark", metavar="DARK", help="Frames without light.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write into.")]
@@ -43,6 +45,16 @@ MaxSteps = Annotated[
     int | None, typer.Option("--max-steps", min=0, metavar="N", help="At most N bleaching steps (1: single molecules).")
 ]
 FollowDrift = Annotated[bool, typer.Option("--follow-drift", help="Let positions follow the motion of the field.")]
+
+FollowMolecules = Annotated[
+    bool, typer.Option("--follow-molecules", help="Follow each molecule from frame to frame; tell its diffusion.")
+]
+MaxStep = Annotated[
+    float | None, typer.Option("--max-step", min=0.01, metavar="PX", help="Farthest step of a followed molecule (2 σ).")
+]
+MaxGap = Annotated[
+    int | None, typer.Option("--max-gap", min=0, metavar="N", help="Frames a followed molecule may be missed for (5).")
+]
 
 # what a table of traces holds
 TraceUnit = Annotated[UnitName | None, typer.Option("--unit", help="Of the traces; default: as the file says.")]

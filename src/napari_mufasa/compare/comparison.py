@@ -21,7 +21,7 @@ from napari_mufasa.simulate.movie import SimulatedAcquisition
 from napari_mufasa.spots.aperture import Profile
 from napari_mufasa.traces import Options, TraceSet, extract_traces
 from napari_mufasa.traces.dynamics import dynamics
-from napari_mufasa.traces.extract import chosen_options
+from napari_mufasa.traces.options import chosen_options
 from napari_mufasa.traces.select import windows
 
 Progress = Callable[[int, int], None]
@@ -105,6 +105,8 @@ def compare_movie(
     _check(model, seed, sofi_times, n_bootstrap)
     movie = checks.stack(movie)
     options = chosen_options(options, changes)
+    if options.follow_molecules:
+        raise MufasaError("follow_molecules: a comparison reads the model's molecules in their places; leave it out")
     if options.psf_sigma_px is None:
         options = replace(options, psf_sigma_px=model.sigma_px)
     steps = _Steps(progress, 6 if fit else 4, cancel)

@@ -1,15 +1,18 @@
-"""What the recording software wrote about the instrument: Micro-Manager, Andor, OME and ImageJ metadata of a TIFF."""
+"""What the recording software wrote about the instrument: Micro-Manager, Andor, OME and ImageJ metadata of a TIFF, and
+those of the other formats."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from napari_mufasa.files import formats
 from napari_mufasa.files.whole import PathLike
 
 
@@ -54,22 +57,34 @@ NAMES: dict[str, tuple[str, float]] = {
     "pixelsizeum": ("pixel_size_nm", 1e3), "pixelsize_um": ("pixel_size_nm", 1e3),
     "physicalsizex": ("pixel_size_nm", 1e3), "bitdepth": ("bit_depth", 1), "significantbits": ("bit_depth", 1),
     "camera": ("camera", 1), "cameraname": ("camera", 1), "andormodel": ("camera", 1), "chipname": ("camera", 1),
-    "andorbaselineoffset": ("baseline_adu", 1),
+    "andorbaselineoffset": ("baseline_adu", 1), "gaindac": ("em_gain", 1), "detectortype": ("camera", 1),
+    "cycletime": ("interval_s", 1), "emgain setting": ("em_gain", 1), "em multiplier": ("em_gain", 1),
 }  # fmt: skip
 SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 MICROMETRES = {"µm": 1.0, "um": 1.0, "micron": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
 
 
 def read_instrument(path: PathLike) -> Instrument:
-    """What a TIFF says of the instrument; nothing for zarr, and where nothing is written or it cannot be read."""
+    """What a file says of the instrument; nothing for zarr, and where nothing is written or it cannot be read."""
     import tifffile
 
     path = Path(path)
+    if formats.is_format(path) and path.is_file():
+        return _of_format(path)
     if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
         return Instrument()
     found: dict[str, Any] = {}
     with contextlib.suppress(Exception), tifffile.TiffFile(path) as file:  # metadata must never stop a movie
         for name, value in _everything(file):
+            _take(found, name, value)
+    return Instrument(**found)
+
+
+def _of_format(path: Path) -> Instrument:
+    found: dict[str, Any] = {}
+    with contextlib.suppress(Exception), warnings.catch_warnings():  # metadata must never stop a movie
+        warnings.simplefilter("ignore")
+        for name, value in formats.opened(path).settings:
             _take(found, name, value)
     return Instrument(**found)
 

@@ -11,20 +11,22 @@ from typing import Any, Literal
 import numpy as np
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.instrument import Instrument, read_instrument
+from napari_mufasa.files.formats import FORMATS, is_format
+from napari_mufasa.files.instrument import Instrument
 from napari_mufasa.files.movies import METADATA_KEY, complaints, read_movie, write_movie
 
 LayerData = tuple[Any, dict[str, Any], str]
-MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr")
+MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr", *FORMATS)
 BLOCK_FRAMES = 64
 
 
 # readers ------------------------------------------------------------------------------------------------
 def get_reader(path: str | Sequence[str]) -> Callable[[str | Sequence[str]], list[LayerData]] | None:
-    """napari's question: can you read this? Only files that carry our metadata; all others are someone else's."""
+    """napari's question: can you read this? Files that carry our metadata, and formats that napari has no reader for;
+    all others are someone else's."""
     if not isinstance(path, (str, os.PathLike)):
         return None
-    return read_layers if is_ours(path) else None
+    return read_layers if is_ours(path) or (Path(path).is_file() and is_format(Path(path))) else None
 
 
 def is_ours(path: str | os.PathLike[str]) -> bool:
@@ -52,7 +54,8 @@ def read_layers(path: str | Sequence[str]) -> list[LayerData]:
 
 
 def movie_layer(path: str | os.PathLike[str]) -> LayerData:
-    """Any TIFF or zarr movie (frame, y, x) as an Image layer; contrast from one frame, so that it stays lazy."""
+    """Any movie (frame, y, x) as an Image layer; contrast from a few frames, so that it stays lazy. What the recording
+    software wrote of the instrument is in ``metadata["napari_mufasa"]["instrument"]``."""
     movie = read_movie(path)
     data = movie.data
     options: dict[str, Any] = {
@@ -60,11 +63,13 @@ def movie_layer(path: str | os.PathLike[str]) -> LayerData:
         "axis_labels": ("frame", "y", "x"),
         "contrast_limits": contrast(data),
     }
-    options["metadata"] = {METADATA_KEY: {"path": os.fspath(path)}}
+    written = movie.instrument.known()
     if movie.metadata.get("model"):
-        options["metadata"][METADATA_KEY] |= movie.metadata
-        if movie.pixel_size_nm is not None:
-            options |= movie_space(movie.pixel_size_nm)
+        options["metadata"] = {METADATA_KEY: movie.metadata}
+    elif written:
+        options["metadata"] = {METADATA_KEY: {"instrument": written}}
+    if movie.pixel_size_nm is not None:
+        options |= movie_space(movie.pixel_size_nm)
     return data, options, "image"
 
 
@@ -145,16 +150,14 @@ def _stack(data: Any, multiscale: bool, rgb: bool) -> Any:
 
 def stored(layer: Any, key: str) -> Any:
     """What the layer's metadata say of us: `model`, `seed`, `role` ("dark frames", "photons" …), `dark_layer`,
-    `path`."""
+    `instrument`."""
     ours = layer.metadata.get(METADATA_KEY) if layer is not None else None
     return ours.get(key) if isinstance(ours, dict) else None
 
 
 def instrument_of(layer: Any) -> Instrument:
-    """What the recording software wrote into the file that a layer was opened from; nothing where there is no file."""
-    source = getattr(getattr(layer, "source", None), "path", None)
-    path = stored(layer, "path") or source
-    return read_instrument(path) if path and os.path.isfile(path) else Instrument()
+    """What the recording software wrote of the instrument, as far as the layer's metadata hold it."""
+    return Instrument(**(stored(layer, "instrument") or {}))
 
 
 def pixel_size_um(scale: Sequence[float], units: Sequence[Any]) -> float | None:

@@ -9,6 +9,7 @@ import uuid
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 
 from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.files import growing
+from napari_mufasa.files import formats, growing
+from napari_mufasa.files.instrument import Instrument, read_instrument
 from napari_mufasa.files.opening import Guarded, check_zarr, no_other_files
 from napari_mufasa.files.whole import PathLike, replacing
 from napari_mufasa.provenance import Describes, made_by
@@ -39,10 +41,16 @@ class Movie:
     def seed(self) -> int | None:
         return self.metadata.get("seed")
 
+    @cached_property
+    def instrument(self) -> Instrument:
+        """What the recording software wrote."""
+        return read_instrument(self.path)
+
     @property
     def pixel_size_nm(self) -> float | None:
-        """The pixel size of the model that travelled with the movie, if one did."""
-        return _pixel_size_nm(self.metadata.get("model"))
+        """The pixel size of the model that travelled with the movie, or what the recording software wrote."""
+        own = _pixel_size_nm(self.metadata.get("model"))
+        return self.instrument.pixel_size_nm if own is None else own
 
 
 def _pixel_size_nm(model: Mapping[str, Any] | None) -> float | None:
@@ -56,7 +64,7 @@ def is_zarr(path: PathLike) -> bool:
 
 
 def read_movie(path: PathLike) -> Movie:
-    """A movie from TIFF, OME-TIFF or zarr, lazily; a single 2-D image becomes one frame.
+    """A movie from TIFF, OME-TIFF, zarr or one of `formats.FORMATS`, lazily; a single 2-D image becomes one frame.
 
     Raises `MufasaError` when the file is missing, truncated, empty, not numeric or not (frame, y, x), and for anything
     in it that would open other files or run code. Blocks that turn out to be damaged raise it when they are read.
@@ -67,15 +75,23 @@ def read_movie(path: PathLike) -> Movie:
     if not (path.is_file() or path.is_dir()):
         raise MufasaError(f"{path} is neither file nor folder: give a TIFF, OME-TIFF or zarr movie")
     try:
-        array, metadata = _open_zarr(path) if is_zarr(path) or path.is_dir() else _open_tiff(path)
+        array, metadata = _opened(path)
     except MufasaError:
         raise
     except RecursionError:
-        raise MufasaError(f"{path} is not a readable TIFF or zarr movie (nested too deep): export it anew") from None
+        raise MufasaError(f"{path} is not a readable movie (nested too deep): export it anew") from None
     except Exception as error:
-        raise MufasaError(f"{path} is not a readable TIFF or zarr movie ({error}): export it anew") from None
+        raise MufasaError(f"{path} is not a readable movie ({error}): export it anew") from None
     data = checks.stack(_lazy(array, path), str(path), single=True)
     return Movie(data, path, metadata)
+
+
+def _opened(path: Path) -> tuple[Any, dict[str, Any]]:
+    if is_zarr(path) or path.is_dir():
+        return _open_zarr(path)
+    if formats.is_format(path):
+        return formats.opened(path).frames, {}
+    return _open_tiff(path)
 
 
 def load(path: PathLike) -> NDArray[Any]:

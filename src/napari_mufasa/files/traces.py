@@ -1,4 +1,5 @@
-"""Traces as files: tidy CSV, 2-D TIFF, HDF5, and the .traces files of single-molecule FRET software (docs/files.md)."""
+"""Traces as files: tidy CSV, 2-D TIFF, HDF5, OpenFRET, and the .traces files of single-molecule FRET software
+(docs/files.md)."""
 
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.movies import complaints, load
+from napari_mufasa.files.openfret import read_openfret, write_openfret
 from napari_mufasa.files.whole import PathLike, replacing, write_bytes, write_table
 from napari_mufasa.provenance import made_by
 
@@ -55,11 +57,13 @@ def read_trace_file(path: PathLike, *, unit: Unit | None = None, channel: Channe
     * ``.traces``: int32 frames, int16 traces, int16 (frame, trace), donor and acceptor in turn; `channel`
       chooses; in counts with the background taken off already; positions from the ``.pks`` file beside it
 
+    * ``.json``: OpenFRET; `channel` chooses where there are several; counts where it says no unit
+
     `unit` overrides what the file says. Raises `MufasaError` in one clear line.
     """
     path = Path(path)
     if not path.is_file():
-        raise MufasaError(f"no file {path}: give a .csv, .tif, .h5 or .traces file of traces")
+        raise MufasaError(f"no file {path}: give a .csv, .tif, .h5, .json (OpenFRET) or .traces file of traces")
     if unit is not None and unit not in UNITS:
         raise MufasaError(f"unit {unit!r} is unknown: choose one of {', '.join(UNITS)}")
     reader = _READERS.get(path.suffix.lower())
@@ -95,7 +99,8 @@ def tidy(traces: NDArray[Any], unit: Unit, molecules: NDArray[np.integer]) -> pd
 def write_trace_file(
     path: PathLike, traces: NDArray[Any], unit: Unit = "photoelectrons", molecules: NDArray[np.integer] | None = None
 ) -> None:
-    """Write traces (molecule, frame) as tidy CSV, 2-D TIFF (frame, molecule) float32, or HDF5, by the suffix."""
+    """Write traces (molecule, frame) as tidy CSV, 2-D TIFF (frame, molecule) float32, HDF5, or OpenFRET (.json), by the
+    suffix."""
     traces = np.asarray(traces)
     if traces.ndim != 2 or traces.size == 0:
         raise MufasaError(f"traces have shape {traces.shape}: needs non-empty (molecule, frame)")
@@ -114,8 +119,10 @@ def write_trace_file(
     elif suffix in (".h5", ".hdf5"):
         with hdf5_file(path, traces, unit, ids):
             pass
+    elif suffix == ".json":
+        write_openfret(path, {"donor": traces}, unit, [{"molecule": int(i)} for i in ids], title=Path(path).stem)
     else:
-        raise MufasaError(f"cannot write traces to {path}: use .csv, .tif or .h5")
+        raise MufasaError(f"cannot write traces to {path}: use .csv, .tif, .h5 or .json (OpenFRET)")
 
 
 @contextlib.contextmanager
@@ -226,6 +233,11 @@ def _read_peaks(path: Path, n_traces: int, channel: Channel) -> NDArray[np.float
     return np.asarray(rows[:, [2, 1]])
 
 
+def _read_openfret(path: Path, channel: Channel) -> TraceFile:
+    values, said, ids = read_openfret(path, channel)
+    return TraceFile(values, _unit(said, "adu"), ids, path)
+
+
 def _unit(said: Any, guess: Unit) -> Unit:
     text = said.decode() if isinstance(said, bytes) else said
     return next((u for u in UNITS if u == text), guess)
@@ -246,4 +258,5 @@ _READERS: dict[str, Any] = {
     ".h5": _read_hdf5,
     ".hdf5": _read_hdf5,
     ".traces": _read_fret,
+    ".json": _read_openfret,
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from napari_mufasa.compare import Comparison
     from napari_mufasa.discover.result import Candidate, Curve, Report
     from napari_mufasa.model.model import Model
+    from napari_mufasa.traces import TraceSet
 
 MOST_CURVES = 6
 
@@ -147,6 +149,21 @@ def movie_drawing(name: str, movie: NDArray[Any], unit: str) -> Drawing:
     """Frames spread over a movie."""
     title = f"{name.capitalize()} ({unit})"
     return Drawing(name, title, (6.4, 4.4), lambda f: plotting.montage(f, movie, unit=unit, title=title), "png")
+
+
+def molecule_drawings(movie: Any, found: TraceSet) -> list[Drawing]:
+    """Where the candidates of a movie are, and traces of the kept ones."""
+    picture, kept = mean_image(movie), found.molecules["molecule"][found.kept].tolist()
+    return [
+        Drawing("molecules", "", (5.4, 5.0), lambda f: plotting.molecules(f.add_subplot(), picture, found.molecules)),
+        Drawing("traces", "", (7.2, 6.2), lambda f: plotting.contact_sheet(f, found.traces, kept, most=24)),
+    ]
+
+
+def write(folder: Path, drawings: Sequence[Drawing]) -> None:
+    """Each as NAME.png."""
+    for drawing in drawings:
+        (folder / f"{drawing.name}.png").write_bytes(drawing.render("light"))
 
 
 def mean_image(movie: Any, most_frames: int = 200) -> NDArray[Any]:

@@ -26,6 +26,22 @@ def movie_facts(name: str, shape: tuple[int, ...], dtype: Any, size_um: float | 
     return f"<b>{name}</b>: {frames} frames of {height} × {width} px, {dtype}<br>{size}<br>{carried}"
 
 
+def instrument_line(known: dict[str, Any]) -> str:
+    """What the recording software wrote, with units."""
+    words = {
+        "pixel_size_nm": ("pixel size", "nm", 1.0), "exposure_s": ("exposure", "ms", 1e3),
+        "interval_s": ("frame every", "ms", 1e3), "em_gain": ("EM gain setting", "", 1.0),
+        "camera": ("camera", "", 1.0),
+        "preamp_gain": ("preamplifier", "", 1.0), "readout_rate_hz": ("read-out", "MHz", 1e-6),
+        "bit_depth": ("depth", "bit", 1.0), "baseline_adu": ("baseline setting", "ADU", 1.0),
+    }  # fmt: skip
+    told = []
+    for name, value in known.items():
+        word, unit, factor = words[name]
+        told.append(f"{word} {value if isinstance(value, str) else f'{value * factor:.5g}'} {unit}".rstrip())
+    return ", ".join(told)
+
+
 def calibration_line(found: Calibration) -> str:
     """What was measured of a camera."""
     return (
@@ -106,11 +122,30 @@ def molecule_line(row: Any) -> str:
     """A row of a table of molecules, as HTML."""
     verdict = "kept" if row["kept"] else f"rejected: {row['reason']}"
     bleached = int(row["bleaching_frame"])
+    moves = ""
+    if "diffusion_px2_per_frame" in row:
+        moves = (
+            f"found in {row['found_frames']} frames, D {row['diffusion_px2_per_frame']:.2g} ± "
+            f"{row['diffusion_sd_px2_per_frame']:.1g} px² per frame, drift y {row['drift_y_px_per_frame']:.2g}, "
+            f"x {row['drift_x_px_per_frame']:.2g} ± {row['drift_sd_px_per_frame']:.1g} px per frame · "
+        )
     return (
-        f"<b>Molecule {row['molecule']}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · "
+        f"<b>Molecule {row['molecule']}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · {moves}"
         f"{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
         f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
     )
+
+
+def moving_line(found: Any) -> str:
+    """How the kept molecules of a `TraceSet` move that were followed, in the middle and in the middle half of them."""
+    kept = found.molecules[found.kept]
+    told = []
+    for column, word in (("found_frames", "found in {} frames"), ("diffusion_px2_per_frame", "D {} px² per frame")):
+        values = kept[column].dropna()
+        if len(values):
+            low, middle, high = (f"{v:.3g}" for v in values.quantile([0.25, 0.5, 0.75]))
+            told.append(word.format(f"{middle} ({low} … {high})"))
+    return "followed molecules: " + (", ".join(told) if told else "none was kept")
 
 
 def map_line(layer: str, z: NDArray[Any], where: str) -> str:

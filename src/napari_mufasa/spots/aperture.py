@@ -56,18 +56,10 @@ def aperture(
     height, width = shape_px
     n = len(positions_px)
     centre = np.rint(positions_px).astype(np.int64)
-    reach = int(np.ceil(WINDOW_SIGMA * sigma_px))
-    inner = max(4.0 * sigma_px, reach + 1.0)
-    outer = int(np.ceil(inner + max(3.0, 2.0 * sigma_px)))
+    reach, inner, outer = _sizes(sigma_px)
 
     window, offset, inside = _around(positions_px, centre, reach, shape_px)
-    shares = pixel_shares(offset[..., 0], offset[..., 1], sigma_px) * inside
-    if profile == "psf":
-        weights = shares / np.maximum((shares**2).sum(axis=1, keepdims=True), 1e-12)
-    elif profile == "sum":
-        weights = ((offset**2).sum(axis=-1) <= (2.5 * sigma_px) ** 2) * inside * 1.0
-    else:
-        weights = (np.all(np.abs(offset - (centre - positions_px)[:, None]) < 0.5, axis=-1) & inside) * 1.0
+    weights = _profile_weights(offset, inside, centre - positions_px, sigma_px, profile)
 
     ring, ring_offset, ring_inside = _around(positions_px, centre, outer, shape_px)
     distance = np.hypot(ring_offset[..., 0], ring_offset[..., 1])
@@ -85,6 +77,59 @@ def aperture(
     if subtract_background:
         signal = (signal - sparse.diags(weights.sum(axis=1)) @ background).tocsr()
     return Aperture(signal.astype(np.float32), background.astype(np.float32), window, offset, inside)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What is read of one frame at places that no other frame has: trace, background (candidate,), the latter per
+    pixel; window, window_offset, inside as of an `Aperture`."""
+
+    trace: NDArray[np.float32]
+    background: NDArray[np.float32]
+    window: NDArray[np.int64]
+    window_offset: NDArray[np.float64]
+    inside: NDArray[np.bool_]
+
+
+def read_frame(
+    frame: NDArray[np.float32], positions_px: NDArray[np.float64], sigma_px: float, profile: Profile, *,
+    subtract_background: bool = True,
+) -> Reading:  # fmt: skip
+    """What an `aperture` at these places gives of one frame (y, x), without the operators, which take longer to make
+    than to use once."""
+    from napari_mufasa.spots.kernels import ring_means
+
+    shape = (frame.shape[0], frame.shape[1])
+    centre = np.rint(positions_px).astype(np.int64)
+    reach, inner, outer = _sizes(sigma_px)
+    window, offset, inside = _around(positions_px, centre, reach, shape)
+    weights = _profile_weights(offset, inside, centre - positions_px, sigma_px, profile)
+    lit = _near(positions_px, shape, 3.0 * sigma_px)
+    background = ring_means(frame, positions_px, centre, lit, float(inner), outer, MIN_RING)
+    trace = (weights * frame.ravel()[window]).sum(axis=1)
+    if subtract_background:
+        trace = trace - weights.sum(axis=1) * background
+    return Reading(trace.astype(np.float32), background.astype(np.float32), window, offset, inside)
+
+
+def _sizes(sigma_px: float) -> tuple[int, float, int]:
+    """Half the window's width, and the ring's inner and outer radius, px."""
+    reach = int(np.ceil(WINDOW_SIGMA * sigma_px))
+    inner = max(4.0 * sigma_px, reach + 1.0)
+    return reach, inner, int(np.ceil(inner + max(3.0, 2.0 * sigma_px)))
+
+
+def _profile_weights(
+    offset: NDArray[np.float64], inside: NDArray[np.bool_], off_centre: NDArray[np.float64], sigma_px: float,
+    profile: Profile,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Weights (candidate, window pixel) of a profile."""
+    if profile == "psf":
+        shares = pixel_shares(offset[..., 0], offset[..., 1], sigma_px) * inside
+        return np.asarray(shares / np.maximum((shares**2).sum(axis=1, keepdims=True), 1e-12))
+    if profile == "sum":
+        return np.asarray(((offset**2).sum(axis=-1) <= (2.5 * sigma_px) ** 2) * inside * 1.0)
+    return np.asarray((np.all(np.abs(offset - off_centre[:, None]) < 0.5, axis=-1) & inside) * 1.0)
 
 
 def _around(

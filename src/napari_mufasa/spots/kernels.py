@@ -151,3 +151,72 @@ def amplitudes(movie, baseline, corner, weights, block_of):  # type: ignore[no-u
                     total += rows[m, b, k, p] * values[p]
                 result[m, t, k] = total
     return result
+
+
+@vectorised
+def walks(t, path, shares):  # type: ignore[no-untyped-def]
+    """(share, 5) of places (sighting, 2) at times t as a random walk with steady drift, seen with errors, for shares of
+    the walk in q + s = 1 (see `diffusion.motion_of`): twice the part of −ln likelihood that no scale changes, the sum
+    of squares that is divided by the scale, drift along y and x, and the information on it.
+
+    The recursion of Kalman from the first sighting on; the drift is fitted beside it (restricted likelihood).
+    """
+    result = np.empty((shares.size, 5))
+    for k in range(shares.size):
+        q = shares[k] * 4.0 / 3.0
+        s = 1.0 - q
+        variance, logs, information = s, 0.0, 0.0
+        time, y, x = t[0], path[0, 0], path[0, 1]
+        yy, xx, ty, tx = 0.0, 0.0, 0.0, 0.0
+        for i in range(1, t.size):
+            variance += q * (t[i] - t[i - 1])
+            total = max(variance + s, 1e-12)
+            gain = variance / total
+            dt, dy, dx = t[i] - time, path[i, 0] - y, path[i, 1] - x
+            logs += np.log(total)
+            information += dt * dt / total
+            ty += dt * dy / total
+            tx += dt * dx / total
+            yy += dy * dy / total
+            xx += dx * dx / total
+            time += gain * dt
+            y += gain * dy
+            x += gain * dx
+            variance *= s / total
+        result[k, 0] = 2.0 * (logs + np.log(information))
+        result[k, 1] = yy + xx - (ty * ty + tx * tx) / information
+        result[k, 2] = ty / information
+        result[k, 3] = tx / information
+        result[k, 4] = information
+    return result
+
+
+@vectorised
+def ring_means(frame, positions, centre, lit, inner, outer, enough):  # type: ignore[no-untyped-def]
+    """Mean (candidate,) of the pixels of a frame (y, x) between two distances of each position (candidate, 2) that are
+    not `lit` (y, x); of all of them where fewer than `enough` are left, of the square around where there are none."""
+    height, width = frame.shape
+    n = positions.shape[0]
+    result = np.zeros(n)
+    for i in range(n):
+        clean, ring, square = 0.0, 0.0, 0.0
+        n_clean, n_ring, n_square = 0, 0, 0
+        for y in range(max(centre[i, 0] - outer, 0), min(centre[i, 0] + outer + 1, height)):
+            for x in range(max(centre[i, 1] - outer, 0), min(centre[i, 1] + outer + 1, width)):
+                value = np.float64(frame[y, x])
+                square += value
+                n_square += 1
+                distance2 = (y - positions[i, 0]) ** 2 + (x - positions[i, 1]) ** 2
+                if inner * inner <= distance2 <= outer * outer:
+                    ring += value
+                    n_ring += 1
+                    if not lit[y, x]:
+                        clean += value
+                        n_clean += 1
+        if n_clean >= enough:
+            result[i] = clean / n_clean
+        elif n_ring > 0:
+            result[i] = ring / n_ring
+        elif n_square > 0:
+            result[i] = square / n_square
+    return result

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.camera.frames import Stack
-from napari_mufasa.spots.aperture import Aperture
+from napari_mufasa.spots.aperture import Aperture, Reading
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,18 @@ class Shapes:
 
     shift_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
+
+
+def light_around(traces: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(spot, frame) mean signal in the frames before and after, none below 0; of a single frame its own."""
+    near = np.zeros_like(traces)
+    if traces.shape[1] > 1:
+        near[:, 1:] += traces[:, :-1]
+        near[:, :-1] += traces[:, 1:]
+        near[:, 1:-1] *= 0.5
+    else:
+        near += traces
+    return np.maximum(near, 0.0)
 
 
 class LitImages:
@@ -33,16 +45,9 @@ class LitImages:
         self.inside = np.ones(shape, dtype=bool)
 
     def add(
-        self, opening: Aperture, stack: Stack, traces: NDArray[np.float32], backgrounds: NDArray[np.float32]
+        self, opening: Aperture | Reading, stack: Stack, near: NDArray[np.float32], backgrounds: NDArray[np.float32]
     ) -> None:
-        near = np.zeros_like(traces)
-        if traces.shape[1] > 1:
-            near[:, 1:] += traces[:, :-1]
-            near[:, :-1] += traces[:, 1:]
-            near[:, 1:-1] *= 0.5
-        else:
-            near += traces
-        near = np.maximum(near, 0.0)
+        """near : (spot, frame) see `light_around`"""
         flat = stack.reshape(len(stack), -1)
         for t in range(len(stack)):
             self.images += near[:, t, None] * (flat[t][opening.window] - backgrounds[:, t, None])

@@ -70,8 +70,13 @@ def usual_width(sigma_major_px: NDArray[np.float64], sigma_px: float) -> float:
     return float(np.clip(np.median(sigma_major_px), sigma_px, 1.3 * sigma_px))
 
 
-def judge(table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_px: float) -> None:
-    """Fill `kept` and `reason` of the molecule table; the first rule broken is the reason."""
+def judge(
+    table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_px: float, edge_px: NDArray[np.float64]
+) -> None:  # fmt: skip
+    """Fill `kept` and `reason` of the molecule table; the first rule broken is the reason.
+
+    edge_px : (candidate,) how near each comes to the edge of the field
+    """
     reason = np.full(len(table), "", dtype=object)
 
     def reject(broken: NDArray[np.bool_], text: object) -> None:
@@ -82,10 +87,8 @@ def judge(table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_
     def column(name: str) -> NDArray[np.float64]:
         return np.asarray(table[name], dtype=np.float64)
 
-    y, x = column("y_px"), column("x_px")
-    edge = np.minimum.reduce([y + 0.5, x + 0.5, shape[1] - 0.5 - y, shape[2] - 0.5 - x])
     reject(~table["in_roi"].to_numpy(dtype=bool), "outside the region of interest")
-    reject(edge < rules.border_px, "border")
+    reject(edge_px < rules.border_px, "border")
     reject(column("prominence") < LEAST_PROMINENCE, "edge or line, no spot")
     near = column("neighbour_px")
     reject(near < rules.isolation_px, [f"neighbour at {d:.1f} px" for d in near])

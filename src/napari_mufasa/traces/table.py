@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from napari_mufasa.files.openfret import write_openfret
 from napari_mufasa.files.traces import Unit, hdf5_file, tidy
 from napari_mufasa.files.whole import PathLike, write_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from napari_mufasa.model.setup import Acquisition
     from napari_mufasa.traces.extract import TraceSet
 
 
@@ -28,14 +30,49 @@ def trace_table(traces: TraceSet) -> pd.DataFrame:
     return table
 
 
-def write_traces(directory: PathLike, traces: TraceSet, *, hdf5: bool = False) -> None:
-    """traces.csv with the kept traces and molecules.csv with every candidate and its reason; with `hdf5` traces.h5.
+def path_table(traces: TraceSet) -> pd.DataFrame:
+    """Where the kept molecules were followed to, tidy (molecule, frame, y_px, x_px), from first to last sighting."""
+    import pandas as pd
+
+    assert traces.path_px is not None  # they were followed
+    parts = []
+    for i in np.flatnonzero(traces.kept):
+        row = traces.molecules.iloc[i]
+        frames = np.arange(row["first_found"], row["last_found"] + 1)
+        y, x = np.round(traces.path_px[i, frames], 3).T
+        parts.append(pd.DataFrame({"molecule": row["molecule"], "frame": frames, "y_px": y, "x_px": x}))
+    return pd.concat(parts) if parts else pd.DataFrame(columns=["molecule", "frame", "y_px", "x_px"])
+
+
+def openfret_table(path: PathLike, traces: TraceSet, acquisition: Acquisition | None = None) -> None:
+    """The kept traces in the OpenFRET format, as a donor's; place, brightness and bleaching of each beside it."""
+    kept = traces.molecules[traces.kept]
+    columns = ("molecule", "y_px", "x_px", "brightness", "snr", "bleaching_frame", "window_start")
+    about = kept[[*columns]].to_dict("records")
+    exposure_s = None if acquisition is None else acquisition.frame_length_s
+    write_openfret(
+        path, {"donor": traces.traces}, traces.units, [{str(k): v for k, v in row.items()} for row in about],
+        title="Traces of single molecules", exposure_s=exposure_s,
+    )  # fmt: skip
+
+
+def write_traces(
+    directory: PathLike, traces: TraceSet, *, hdf5: bool = False, openfret: bool = False,
+    acquisition: Acquisition | None = None,
+) -> None:  # fmt: skip
+    """traces.csv with the kept traces and molecules.csv with every candidate and its reason; of molecules that were
+    followed paths.csv; with `hdf5` traces.h5, with `openfret` traces.openfret.json, which tells the exposure of
+    the `acquisition`.
 
     traces.h5 holds the kept traces (``traces``, ``molecule``), the table's columns in the group ``molecules`` and
     every candidate's whole trace in ``all_traces``.
     """
     write_table(Path(directory) / "traces.csv", trace_table(traces))
     write_table(Path(directory) / "molecules.csv", traces.molecules)
+    if traces.path_px is not None:
+        write_table(Path(directory) / "paths.csv", path_table(traces))
+    if openfret:
+        openfret_table(Path(directory) / "traces.openfret.json", traces, acquisition)
     if not hdf5:
         return
     kept = traces.molecules["molecule"].to_numpy()[traces.kept]

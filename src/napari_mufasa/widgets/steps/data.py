@@ -11,8 +11,10 @@ from qtpy.QtWidgets import QFileDialog
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import (
+    MOVIE_SUFFIXES,
     LayerData,
     Measurement,
+    instrument_of,
     measurement_of,
     movie_layer,
     movie_space,
@@ -20,7 +22,8 @@ from napari_mufasa.files.layers import (
     stack_of,
     stored,
 )
-from napari_mufasa.report.lines import movie_facts
+from napari_mufasa.propose.written import as_written, values_written
+from napari_mufasa.report.lines import instrument_line, movie_facts
 from napari_mufasa.samples import SAMPLES
 from napari_mufasa.widgets.parts.forms import dress_one, widget_of
 from napari_mufasa.widgets.parts.layers import added_hidden
@@ -52,20 +55,27 @@ class DataPanel(Panel):
             "Believe the model in the metadata", self._use_model, "Take over the model that travelled with the movie"
         )
         self.use_scale = button("", self._use_scale)
+        self.use_instrument = button(
+            "Believe what the file says", self._use_instrument,
+            "Take pixel size, exposure and EM gain from the metadata into the model; each can be changed there",
+        )  # fmt: skip
         samples = row(self.sample.native, self.sample_button)
         self.add(self.run_bar, samples, self.form.native, self.facts, self.doubting(), self.use_model, self.use_scale)
+        self.add(self.use_instrument)
         self.column.addStretch(1)
         self.session.movie_changed.connect(self.refresh)
         self.session.model_changed.connect(self.refresh)
         self.refresh()
 
     def prepare(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Open movie", filter="Movies (*.tif *.tiff);;All files (*)")
+        path, _ = QFileDialog.getOpenFileName(
+            self, "Open movie", filter=f"Movies ({' '.join(f'*{s}' for s in MOVIE_SUFFIXES)});;All files (*)"
+        )
         if path:
             self.open_movie(path)
 
     def open_movie(self, path: str) -> None:
-        """Open any TIFF or zarr movie, ours or foreign, lazily; in the background, for a header may be long."""
+        """Open any movie, ours or foreign, lazily; in the background, for a header may be long."""
         self._open("Opening", lambda: [movie_layer(path)])
 
     def open_sample(self, key: str) -> None:
@@ -93,6 +103,7 @@ class DataPanel(Panel):
         layer, model = self.session.movie_layer, self.session.model
         self.use_model.hide()
         self.use_scale.hide()
+        self.use_instrument.hide()
         if layer is None:
             self.facts.say("No movie yet.")
             return
@@ -109,6 +120,10 @@ class DataPanel(Panel):
         if carried is not None:
             self.use_model.setVisible(not in_use)
             origin = f"carries a model ({carried.protocol}, {carried.camera.type})" + (", in use" if in_use else "")
+        written = instrument_of(layer)
+        if written.known():
+            origin = f"the file says: {instrument_line(written.known())}<br>{origin}"
+            self.use_instrument.setVisible(carried is None and bool(values_written(model, written)))
         self.facts.say(movie_facts(layer.name, shape, layer.dtype, size_um, origin))
 
     def _use_scale(self) -> None:
@@ -117,6 +132,13 @@ class DataPanel(Panel):
             space = movie_space(self.session.model.acquisition.pixel_size_nm)
             layer.scale, layer.units = space["scale"], space["units"]
             self.viewer.reset_view()
+        self.refresh()
+
+    def _use_instrument(self) -> None:
+        layer = self.session.movie_layer
+        if layer is not None:
+            model = as_written(self.session.model, instrument_of(layer))
+            self.session.set_model(model, f"{self.session.model_origin}, with the metadata of {layer.name}")
         self.refresh()
 
     def _use_model(self) -> None:

@@ -7,16 +7,16 @@ from collections.abc import Generator
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from napari.layers import Layer, Points
+from napari.layers import Layer, Points, Tracks
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of, stored
-from napari_mufasa.report.lines import molecule_line
+from napari_mufasa.report.lines import molecule_line, moving_line
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.spots.aperture import Profile
 from napari_mufasa.widgets.parts.edits import NumberEdit
 from napari_mufasa.widgets.parts.forms import widget_of
-from napari_mufasa.widgets.parts.layers import added, ours, points_on
+from napari_mufasa.widgets.parts.layers import added, ours, points_on, space_of
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie
 from napari_mufasa.widgets.parts.pieces import button, takes_the_rest
@@ -32,7 +32,10 @@ if TYPE_CHECKING:
 KEPT, REJECTED = "#7bd88f", "#e0605e"
 HINT = "The trace of the molecule you click appears here."
 PROFILES = [("whole spot (PSF-weighted)", "psf"), ("sum over the spot", "sum"), ("brightest pixel", "brightest_pixel")]
-COLUMNS = ("molecule", "brightness", "snr", "bleaching_frame", "n_steps", "n_blinks", "kept", "reason")
+COLUMNS = (
+    "molecule", "brightness", "snr", "bleaching_frame", "n_steps", "n_blinks", "kept", "reason", "found_frames",
+    "diffusion_px2_per_frame", "drift_y_px_per_frame", "drift_x_px_per_frame",
+)  # fmt: skip
 COUNT: dict[str, Any] = {"widget_type": NumberEdit, "whole": True, "min": 1}
 
 
@@ -47,6 +50,7 @@ def traces(
     window: Annotated[int | None, COUNT | {"label": "Window (frames)", "empty": "whole movie"}] = None,
     best: Annotated[int | None, COUNT | {"label": "Keep best", "empty": "all"}] = None,
     follow_drift: Annotated[bool, {"label": "follow the drift of the field"}] = False,
+    follow_molecules: Annotated[bool, {"label": "follow each molecule"}] = False,
 ) -> list[Layer]:
     """Find single molecules and read their traces with the model's camera.
 
@@ -56,10 +60,11 @@ def traces(
         min_snr: Smallest level over noise per frame
         window: Keep only so many frames just before each molecule bleaches, in which it is active
         best: Keep only the best so many
+        follow_molecules: Link each molecule's places from frame to frame and read its trace along its path
 
     Returns:
         One layer of points, a row of features for each candidate; its ``metadata["napari_mufasa"]["traces"]`` is the
-        `TraceSet`.
+        `TraceSet`. Of molecules that were followed also a layer of tracks, the paths of the kept ones.
     """
     from napari_mufasa.traces import extract_traces
 
@@ -68,9 +73,12 @@ def traces(
     found = extract_traces(
         measurement.movie, camera, measurement.dark, unit=measurement.unit, progress=progress, cancel=cancel,
         profile=profile, threshold_value=threshold_sigma, min_snr=min_snr, window=window, best=best,
-        follow_drift=follow_drift,
+        follow_drift=follow_drift, follow_molecules=follow_molecules,
     )  # fmt: skip
-    return [molecules_on(movie, found)]
+    points = molecules_on(movie, found)
+    return [points] if found.path_px is None or not found.kept.any() else [
+        points, paths_on(movie, found, measurement.first_frame)
+    ]  # fmt: skip
 
 
 traces_widget = widget_of(traces, "Extract traces", {"threshold_sigma": "steps.threshold_sigma"})
@@ -86,6 +94,23 @@ def molecules_on(movie: Any, found: TraceSet, **more: Any) -> Points:
         movie, found.positions_px, features.reset_index(drop=True), f"{movie.name}, molecules",
         size=max(4.0, 5 * found.sigma_px), face_color="transparent", border_width=0.07, border_color=_colours(table),
         symbol="disc", ours={"traces": found} | more,
+    )  # fmt: skip
+
+
+def paths_on(movie: Any, found: TraceSet, first_frame: int = 0) -> Tracks:
+    """Where the kept molecules were followed to; `first_frame` of the movie is the first that was read."""
+    table, paths = found.molecules, found.path_px
+    assert paths is not None  # they were followed
+    rows, features = [], []
+    for i in np.flatnonzero(found.kept):
+        molecule = table.iloc[i]
+        frames = np.arange(molecule["first_found"], molecule["last_found"] + 1)
+        number = np.full(len(frames), molecule["molecule"])
+        rows.append(np.column_stack([number, frames, paths[i, frames]]))
+        features.append(np.full(len(frames), molecule["diffusion_px2_per_frame"]))
+    return Tracks(
+        np.concatenate(rows), name=f"{movie.name}, paths", features={"diffusion": np.concatenate(features)},
+        tail_length=found.all_traces.shape[1], **space_of(movie, first_frame),
     )  # fmt: skip
 
 
@@ -118,22 +143,24 @@ class MoleculesPanel(Panel):
     def prepare(self) -> None:
         self.measurement()
         movie = self.form.movie.value
-        self.call(self.running, lambda layers: self._show(layers[0], movie))
+        self.call(self.running, lambda layers: self._show(layers, movie))
 
     # results ----------------------------------------------------------------------------------------
-    def _show(self, points: Points, movie: Any) -> Generator[None, None, None]:
+    def _show(self, layers: list[Any], movie: Any) -> Generator[None, None, None]:
         if movie not in self.viewer.layers:
             raise MufasaError(
                 f"layer {movie.name} was removed while its traces were read: open it again to see the molecules"
             )
+        points: Points = layers[0]
         self.points, self.shown = points, None
         found: Any = self.traces
-        self.run_bar.say(f"{int(found.kept.sum())} molecules kept of {len(found.molecules)} candidates.")
+        said = f"{int(found.kept.sum())} molecules kept of {len(found.molecules)} candidates."
+        self.run_bar.say(said if found.path_px is None else f"{said} {moving_line(found).capitalize()}")
         self.plot.clear(HINT)
         points.selected_data.events.items_changed.connect(self._on_selection)
         points.mouse_drag_callbacks.append(self._on_click)
         self.save_button.setEnabled(True)
-        yield from added(self.viewer, [points])
+        yield from added(self.viewer, [*layers[1:], points])
         points.mode = "select"  # napari refuses it to a hidden layer
         self.session.set_traces(found)
 

@@ -1,0 +1,179 @@
+"""What a batch says: one row per movie, its effects, and what tells the conditions apart (docs/batches.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from napari_mufasa.batch.run import Result
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ROW = (
+    "movie", "condition", "verdict", "effects", "strengths", "error_before", "error_after", "error_floor",
+    "error_over_floor", "w1", "w1_fitted", "w1_floor", "w1_over_floor", "molecules", "candidates", "brightness_e",
+    "snr", "bleached_share", "diffusion_px2_per_frame", "frames", "height", "width", "folder", "problem",
+)  # fmt: skip
+COMPARED = (
+    "error_before", "error_after", "w1", "w1_fitted", "molecules", "brightness_e", "snr", "bleached_share",
+    "diffusion_px2_per_frame",
+)  # fmt: skip
+SURE = 0.05  # chance, over all rows of the table together, that one of them is told to differ where none does
+INTERVAL_SD = 1.96  # 95 %
+
+
+def movie_table(results: Sequence[Result]) -> pd.DataFrame:
+    """One row per movie: columns `ROW`, empty ones left out."""
+    import pandas as pd
+
+    rows = []
+    for result in results:
+        told = dict(result.told)
+        effects = told.get("effects")
+        told["movie"], told["condition"] = result.entry.movie.name, result.entry.condition
+        told["folder"], told["problem"] = result.entry.name, result.error
+        for over, value, floor in (("error", "error_before", "error_floor"), ("w1", "w1", "w1_floor")):
+            if told.get(value) is not None and told.get(floor):
+                told[f"{over}_over_floor"] = told[value] / told[floor]
+        if effects is not None:
+            told["effects"] = ", ".join(one["effect"] for one in effects)
+            told["strengths"] = "; ".join(filter(None, map(strength_text, effects)))
+        rows.append({name: told.get(name) for name in ROW})
+    table = pd.DataFrame(rows, columns=list(ROW))
+    return table.loc[:, [name for name in ROW if not table[name].isna().all()]]
+
+
+def strength_text(effect: dict[str, Any]) -> str:
+    """Kind and strength of an effect that was found, with its 95 % interval."""
+    found = strength_of(effect)
+    if found is None:
+        return ""
+    name, value, low, high = found
+    return f"{effect['effect']}: {name} {value:.3g} [{low:.3g}, {high:.3g}]"
+
+
+def strength_of(effect: dict[str, Any]) -> tuple[str, float, float, float] | None:
+    """(parameter, value, 95 % interval) of what says how strong an effect is; None where it was not fitted."""
+    from napari_mufasa.effects import effect_class
+
+    name = effect_class(effect["effect"]).strength
+    value, sd = effect["parameters"].get(name), effect["sd"].get(name)
+    if not isinstance(value, (int, float)) or not isinstance(sd, (int, float)):
+        return None
+    return name, float(value), float(value - INTERVAL_SD * sd), float(value + INTERVAL_SD * sd)
+
+
+def effect_table(results: Sequence[Result]) -> pd.DataFrame:
+    """One row per movie, effect and number that was fitted: value, sd, 95 % interval, evidence, p value."""
+    import pandas as pd
+
+    head = ["movie", "condition", "effect", "parameter", "value", "sd", "low_95", "high_95", "evidence", "p_value"]
+    rows = [
+        (result.entry.movie.name, result.entry.condition, effect["effect"], name, value, sd,
+         value - INTERVAL_SD * sd, value + INTERVAL_SD * sd, effect["evidence"], effect["p_value"])
+        for result in results
+        for effect in result.told.get("effects") or []
+        for name, sd in effect["sd"].items()
+        if isinstance(value := effect["parameters"].get(name), (int, float)) and isinstance(sd, (int, float))
+    ]  # fmt: skip
+    return pd.DataFrame(rows, columns=head)
+
+
+def condition_table(results: Sequence[Result]) -> pd.DataFrame:
+    """One row per condition and effect that was found in any movie: in how many, and its strength over them all.
+
+    The strength is the mean of a random-effects model: movies differ by more than their own uncertainty (DerSimonian
+    and Laird, Control. Clin. Trials 7, 177 (1986)); `between_sd` says by how much.
+    """
+    import pandas as pd
+
+    done = [r for r in results if not r.error and "verdict" in r.told]
+    kinds = sorted({one["effect"] for r in done for one in r.told["effects"]})
+    rows = []
+    for condition in sorted({r.entry.condition for r in done}):
+        of = [r for r in done if r.entry.condition == condition]
+        for kind in kinds:
+            there = [one for r in of for one in r.told["effects"] if one["effect"] == kind]
+            fitted = [found for one in there if (found := strength_of(one)) is not None]
+            name = fitted[0][0] if fitted else ""
+            value, sd, between = pooled(
+                [v for _, v, _, _ in fitted], [(high - low) / (2 * INTERVAL_SD) for _, _, low, high in fitted]
+            )
+            low, high = value - INTERVAL_SD * sd, value + INTERVAL_SD * sd
+            rows.append((condition, kind, len(there), len(of), name, value, low, high, between))
+    head = ["condition", "effect", "found_in", "movies", "parameter", "value", "low_95", "high_95", "between_sd"]
+    return pd.DataFrame(rows, columns=head)
+
+
+def pooled(values: Sequence[float], sds: Sequence[float]) -> tuple[float, float, float]:
+    """Mean of values with uncertainties, its sd, and the sd of what they are of between movies (DerSimonian, Laird)."""
+    x, variance = np.array(values, dtype=float), np.maximum(np.array(sds, dtype=float), 1e-12) ** 2
+    if len(x) == 0:
+        return float("nan"), float("nan"), float("nan")
+    w = 1 / variance
+    spread = float(np.sum(w * (x - np.sum(w * x) / w.sum()) ** 2))
+    between = 0.0
+    if len(x) > 1:
+        between = max(0.0, (spread - (len(x) - 1)) / (w.sum() - np.sum(w**2) / w.sum()))
+    w = 1 / (variance + between)
+    return float(np.sum(w * x) / w.sum()), float(w.sum() ** -0.5), float(np.sqrt(between))
+
+
+def difference_table(results: Sequence[Result]) -> pd.DataFrame:
+    """What tells the conditions apart: one row per number and effect, the surest first; empty with one condition.
+
+    Numbers by the test of Kruskal and Wallis, effects by that of Fisher on in how many movies they were found; each
+    p value multiplied for how many are tested (Holm), so that all rows together raise a false alarm in 5 % (`SURE`).
+    """
+    import pandas as pd
+    from scipy import stats
+
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        if not result.error:
+            groups.setdefault(result.entry.condition, []).append(result)
+    rows: list[tuple[Any, ...]] = []
+    names = sorted(groups)
+    if len(names) > 1:
+        for name in COMPARED:
+            samples = [[r.told[name] for r in groups[c] if r.told.get(name) is not None] for c in names]
+            if min(map(len, samples)) < 2 or len({v for sample in samples for v in sample}) < 2:
+                continue
+            p = float(stats.kruskal(*samples).pvalue)
+            rows.append((name, *(f"{np.median(sample):.4g}" for sample in samples), p))
+        kinds = sorted({e["effect"] for group in groups.values() for r in group for e in r.told.get("effects") or []})
+        for kind in kinds:
+            counts = [
+                [sum(kind in [e["effect"] for e in r.told.get("effects") or []] for r in groups[c])] for c in names
+            ]
+            table = np.array([[count[0], len(groups[c]) - count[0]] for count, c in zip(counts, names, strict=True)])
+            p = float(stats.fisher_exact(table).pvalue) if table.sum(axis=0).min() > 0 else 1.0
+            rows.append((kind, *(f"in {a} of {a + b}" for a, b in table), p))
+    table = pd.DataFrame(rows, columns=["what", *names, "p_value"]).sort_values("p_value", kind="stable")
+    table["p_adjusted"] = holm(table["p_value"].to_numpy(dtype=float))
+    table["differs"] = table["p_adjusted"] < SURE
+    return table.reset_index(drop=True)
+
+
+def holm(p_values: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Sorted p values, each for as many tests as are not surer (Holm, Scand. J. Stat. 6, 65 (1979))."""
+    steps = p_values * np.arange(len(p_values), 0, -1)
+    return np.asarray(np.minimum(np.maximum.accumulate(steps), 1.0) if len(steps) else steps)
+
+
+def write_tables(out: Path, results: Sequence[Result], title: str) -> None:
+    """summary.csv, effects.csv, conditions.csv, differences.csv and summary.html."""
+    from napari_mufasa import files
+    from napari_mufasa.report.batch import render
+
+    movies, conditions, apart = movie_table(results), condition_table(results), difference_table(results)
+    files.write_table(out / "summary.csv", movies)
+    files.write_table(out / "effects.csv", effect_table(results))
+    files.write_table(out / "conditions.csv", conditions)
+    files.write_table(out / "differences.csv", apart)
+    reports = {r.entry.name: f"{r.entry.name}/diagnose/report.html" for r in results if "verdict" in r.told}
+    files.write_text(out / "summary.html", render(title, movies, conditions, apart, reports))

@@ -1,0 +1,38 @@
+"""A model with what the recording software wrote about the instrument in place of what was believed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from napari_mufasa.files.instrument import Instrument
+from napari_mufasa.model.model import Model
+
+
+def values_written(model: Model, written: Instrument) -> dict[str, Any]:
+    """The values of a model (dotted path → value) that the metadata say otherwise; empty where they agree, or say
+    nothing. A setting is no measurement: an EM gain is taken for EMCCD cameras only, the baseline never."""
+    timing = model.acquisition
+    exposure_s = written.exposure_s or (written.interval_s if timing.frame_interval_s is None else None)
+    said: dict[str, Any] = {}
+    if written.pixel_size_nm is not None:
+        said["acquisition.pixel_size_nm"] = written.pixel_size_nm
+    if exposure_s is not None:
+        said["acquisition.frame_length_s"] = exposure_s
+        longer = written.interval_s is not None and written.interval_s > exposure_s * (1 + 1e-6)
+        said["acquisition.frame_interval_s"] = written.interval_s if longer else None
+    if written.register_gain is not None and model.camera.type == "EMCCD":
+        said["camera.em_gain"] = written.register_gain
+    believed = {
+        "acquisition.pixel_size_nm": timing.pixel_size_nm, "acquisition.frame_length_s": timing.frame_length_s,
+        "acquisition.frame_interval_s": timing.frame_interval_s, "camera.em_gain": model.camera.em_gain,
+    }  # fmt: skip
+    return {path: value for path, value in said.items() if not _same(believed[path], value)}
+
+
+def _same(one: float | None, other: float | None) -> bool:
+    return one == other or (one is not None and other is not None and abs(one / other - 1) < 1e-6)
+
+
+def as_written(model: Model, written: Instrument) -> Model:
+    """The model with those values."""
+    return model.with_values(values_written(model, written))

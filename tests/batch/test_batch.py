@@ -1,0 +1,240 @@
+"""Many movies at once: which they are, what is kept, and what tells them apart (docs/batches.md)."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import napari_mufasa as nm
+from napari_mufasa import files
+from napari_mufasa.batch import Entry, Result, Settings, read_entries, run
+from napari_mufasa.batch.table import condition_table, difference_table, holm, pooled
+from napari_mufasa.cli import main
+from napari_mufasa.effects import effect_class
+from napari_mufasa.errors import MufasaError
+
+
+def small():
+    return nm.preset("FF").with_values(
+        {"acquisition.n_frames": 60, "acquisition.shape_px": (48, 48), "sample.n_molecules": 14}
+    )
+
+
+def write_movie(path, model, seed):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    movie = nm.simulate(model, seed=seed).movie
+    files.write_movie(path, [movie], movie.shape, np.uint16)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Four movies of two conditions, and their model."""
+    model = small()
+    model.to_json(tmp_path / "model.json")
+    for condition in ("a", "b"):
+        for i in range(2):
+            write_movie(tmp_path / "movies" / condition / f"m{i}.tif", model, 2 * i + (condition == "b"))
+    return tmp_path
+
+
+def cli(capsys, *arguments):
+    with pytest.raises(SystemExit) as leaving:
+        main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return leaving.value.code, out, err
+
+
+# which movies -----------------------------------------------------------------------------------------------
+def test_folders_in_a_folder_are_conditions(folder):
+    entries = read_entries(folder / "movies", model=folder / "model.json")
+    assert [(e.name, e.condition) for e in entries] == [("a-m0", "a"), ("a-m1", "a"), ("b-m0", "b"), ("b-m1", "b")]
+    flat = read_entries(folder / "movies" / "a", model=folder / "model.json")
+    assert [(e.name, e.condition) for e in flat] == [("m0", ""), ("m1", "")]
+
+
+def test_a_list_names_conditions_and_models(folder):
+    (folder / "list.csv").write_text("movie,condition,model\nmovies/a/m0.tif,x,model.json\nmovies/b/m0.tif,y,\n")
+    entries = read_entries(folder / "list.csv", model=folder / "model.json")
+    assert [(e.name, e.condition, e.model) for e in entries] == [
+        ("x-m0", "x", folder / "model.json"), ("y-m0", "y", folder / "model.json"),
+    ]  # fmt: skip
+    (folder / "list.txt").write_text("movies/a/m0.tif\nmovies/b/m0.tif\n")
+    assert [e.name for e in read_entries(folder / "list.txt", model=folder / "model.json")] == ["m0", "m0-2"]
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("movie,colour\nmovies/a/m0.tif,red\n", "colour"), ("movies/a/none.tif\n", "none.tif"), ("\n", "empty"),
+        ("movie,condition\n", "no movie"), ("movies/a/m0.tif\n", "no model"),
+    ],
+)  # fmt: skip
+def test_a_list_that_is_none_is_told(folder, text, word):
+    (folder / "list.csv").write_text(text)
+    with pytest.raises(MufasaError, match=word):
+        read_entries(folder / "list.csv", model=None if word == "no model" else folder / "model.json")
+
+
+def test_no_movies_are_told(tmp_path):
+    for source in (tmp_path, tmp_path / "nothing"):
+        with pytest.raises(MufasaError, match="movie"):
+            read_entries(source)
+
+
+# what is kept -----------------------------------------------------------------------------------------------
+def test_what_is_finished_is_not_done_again(folder, capsys, monkeypatch):
+    from napari_mufasa.batch import steps
+
+    out = folder / "out"
+    shared = ("batch", folder / "movies", "--model", folder / "model.json", "--do", "traces", "--out", out)
+    code, first, _ = cli(capsys, *shared)
+    assert code == 0 and first.count("molecules") == 4 and "done before" not in first
+    (out / "a-m1/traces/done.json").unlink()  # as if the run had been killed in this movie
+    counted = []
+    traces = steps.STEPS["traces"]
+    monkeypatch.setitem(steps.STEPS, "traces", lambda *a, **k: counted.append(a[1].path.name) or traces(*a, **k))
+    table = pd.read_csv(out / "summary.csv")
+    code, again, _ = cli(capsys, *shared)
+    assert code == 0 and counted == ["m1.tif"] and again.count("done before") == 3
+    pd.testing.assert_frame_equal(pd.read_csv(out / "summary.csv"), table)
+    assert {"traces.csv", "molecules.csv", "traces.png"} <= {p.name for p in (out / "a-m1/traces").iterdir()}
+    # A further step is added to what is there; what was made with something else is not replaced unasked.
+    code, _, err = cli(capsys, *shared, "--follow-drift")
+    assert code == 2 and "follow_drift" in err and "--overwrite" in err and len(counted) == 1
+    assert cli(capsys, *shared, "--follow-drift", "--overwrite")[0] == 0 and len(counted) == 5
+
+
+def test_a_movie_that_cannot_be_done_is_told_and_the_others_are_done(folder, capsys):
+    (folder / "movies/a/m0.tif").write_bytes(b"II*\0 no movie")
+    shared = ("batch", folder / "movies", "--model", folder / "model.json", "--do", "traces", "--out", folder / "out")
+    code, out, err = cli(capsys, *shared)
+    assert code == 2 and "1 of 4 movies" in err and out.count("failed") == 1 and len(err.strip().splitlines()) == 1
+    table = pd.read_csv(folder / "out/summary.csv")
+    assert list(table["problem"].isna()) == [False, True, True, True]
+    assert "<th>Problem</th>" in (folder / "out/summary.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--do", "sleep"), "sleep"), (("--do", ","), "--do"), (("--effects", "magic"), "magic"),
+        (("--model", "no.json"), "no.json"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line(folder, capsys, options, word):
+    shared = ("batch", folder / "movies", "--model", folder / "model.json", "--out", folder / "out")
+    code, _, err = cli(capsys, *shared, *options)
+    assert code == 2 and word in err and len(err.strip().splitlines()) == 1
+
+
+def test_denoised_movies_are_those_of_the_function(folder):
+    from napari_mufasa.denoise import denoise
+
+    entry = read_entries(folder / "movies", model=folder / "model.json")[0]
+    (result,) = run([entry], folder / "out", Settings(steps=("denoise",), method="pure-let"))
+    assert not result.error
+    made = files.load(folder / "out/a-m0/denoise/denoised.ome.tif")
+    np.testing.assert_allclose(made, denoise(files.load(entry.movie), small().camera, method="pure-let"), rtol=1e-5)
+
+
+# what tells them apart --------------------------------------------------------------------------------------
+def test_pooled_strengths_have_the_uncertainty_they_say():
+    """Movies that differ by 0.5 about 3, each known to 0.2 … 0.6: the mean and its sd, over 2000 batches of ten."""
+    rng = np.random.default_rng(1)
+    sds = np.linspace(0.2, 0.6, 10)
+    told = np.array([pooled(3 + rng.normal(0, 0.5, 10) + rng.normal(0, sds), sds) for _ in range(2000)])
+    assert told[:, 0].mean() == pytest.approx(3.0, abs=4 * told[:, 0].std() / np.sqrt(2000))
+    # With ten movies the spread between them is known to a quarter, and the interval holds a little less than 95 %.
+    assert 0.90 < np.mean(np.abs(told[:, 0] - 3) < 1.96 * told[:, 1]) < 0.96
+    assert np.median(told[:, 2]) == pytest.approx(0.5, abs=0.1)
+    assert np.isnan(pooled([], [])[0]) and pooled([2.0], [0.1])[:2] == pytest.approx((2.0, 0.1))
+
+
+def results_of(rng, effect_in=(), brighter=1.0, n=6):
+    found = {"effect": "stage_drift", "p_value": 1e-6, "evidence": 50.0}
+    found |= {"parameters": {"distance_px": 3.0}, "sd": {"distance_px": 0.4}}
+    results = []
+    for condition in ("a", "b"):
+        for i in range(n):
+            told = {
+                "verdict": "adequate", "effects": [found] if condition in effect_in else [],
+                "error_before": rng.normal(1, 0.1), "molecules": int(rng.poisson(30)),
+                "brightness_e": rng.normal(100, 5) * (brighter if condition == "b" else 1),
+            }  # fmt: skip
+            name = f"{condition}{i}"
+            results.append(Result(Entry(movie=Path(f"{name}.tif"), name=name, condition=condition), told))
+    return results
+
+
+def test_conditions_that_are_the_same_are_rarely_told_apart():
+    rng = np.random.default_rng(3)
+    alarms = [difference_table(results_of(rng))["differs"].any() for _ in range(400)]
+    assert sum(alarms) <= 35  # 5 % of 400 are 20 ± 4.4; three sd above
+
+
+def test_what_differs_is_told_first():
+    rng = np.random.default_rng(4)
+    table = difference_table(results_of(rng, effect_in=("b",), brighter=1.5))
+    assert set(table["what"][table["differs"]]) == {"stage_drift", "brightness_e"}
+    row = table.set_index("what").loc["stage_drift"]
+    assert row["a"] == "in 0 of 6" and row["b"] == "in 6 of 6"
+    pooled_row = condition_table(results_of(rng, effect_in=("b",))).set_index("condition").loc["b"]
+    assert pooled_row["found_in"] == 6 and pooled_row["value"] == pytest.approx(3.0)
+    assert pooled_row["high_95"] - pooled_row["value"] == pytest.approx(1.96 * 0.4 / np.sqrt(6), rel=1e-3)
+
+
+def test_p_values_are_for_all_rows_together():
+    np.testing.assert_allclose(holm(np.array([0.01, 0.02, 0.5])), [0.03, 0.04, 0.5])
+    assert len(holm(np.zeros(0))) == 0
+
+
+@pytest.mark.slow
+def test_twelve_movies_killed_half_way_are_told_apart(tmp_path):
+    """Six movies of a stage at rest, six of one that drifts by 3 to 4 px, diagnosed by separate processes; the first of
+    them is killed in its sixth movie."""
+    model = small()
+    model.to_json(tmp_path / "model.json")
+    for i in range(6):
+        write_movie(tmp_path / f"movies/still/m{i}.tif", model, i + 1)
+        drifts = effect_class("stage_drift")(distance_px=3.0 + 0.2 * i)
+        write_movie(tmp_path / f"movies/drift/m{i}.tif", model.model_copy(update={"effects": (drifts,)}), 11 + i)
+    out = tmp_path / "out"
+    command = [
+        sys.executable, "-m", "napari_mufasa", "batch", str(tmp_path / "movies"),
+        "--model", str(tmp_path / "model.json"), "--out", str(out),
+        "--do", "traces,diagnose", "--effects", "stage_drift,photobleaching",
+    ]  # fmt: skip
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    assert first.stdout is not None
+    lines = [first.stdout.readline() for _ in range(5)]
+    time.sleep(2.0)  # into the sixth
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    assert [line.split("]")[0] for line in lines] == [f"[{i}/12" for i in range(1, 6)]
+    finished = {path: path.stat().st_mtime_ns for path in out.rglob("done.json")}
+    assert 10 <= len(finished) <= 11  # five movies of two steps; of the sixth the traces at most
+    second = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    told = second.stdout.splitlines()
+    assert sum("done before" in line for line in told) == 5 and len(told) >= 13
+    assert all(path.stat().st_mtime_ns == when for path, when in finished.items())  # nothing was done twice
+    assert not list(out.rglob(".*")), "a killed run leaves nothing half-written behind the next one"
+    table = pd.read_csv(out / "summary.csv")
+    drifting = table["condition"] == "drift"
+    assert list(table["effects"].fillna("") == "stage_drift") == list(drifting)
+    assert (table.loc[~drifting, "verdict"] == "adequate").all()
+    assert "conditions differ in stage drift" in second.stdout
+    pages = (out / "summary.html").read_text()
+    assert "stage drift" in pages and "drift-m0/diagnose/report.html" in pages
+    strength = pd.read_csv(out / "conditions.csv").set_index(["condition", "effect"]).loc[("drift", "stage_drift")]
+    assert strength["low_95"] < 3.5 < strength["high_95"]
+    assert json.loads((out / "drift-m0/diagnose/done.json").read_text())["told"]["verdict"] == "missing_effect"

@@ -1,0 +1,204 @@
+"""What microscopes write: each format as far as a file of it can be had (docs/files.md)."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from napari_mufasa import MufasaError, files, preset
+from napari_mufasa.cli import main
+from napari_mufasa.files import formats
+from napari_mufasa.files.instrument import Instrument, _take, read_instrument
+from napari_mufasa.files.layers import get_reader, instrument_of, movie_layer
+from napari_mufasa.propose.written import as_written, values_written
+
+MOVIE = np.random.default_rng(3).integers(0, 200, (9, 16, 24))
+
+
+def write_pma(path, movie=MOVIE):
+    """As the software of single-molecule FRET does: two uint16, width and height, then the frames as uint8."""
+    head = np.array([movie.shape[2], movie.shape[1]], "<u2")
+    path.write_bytes(head.tobytes() + movie.astype(np.uint8).tobytes())
+    return path
+
+
+def write_czi(path, movie=MOVIE):
+    """By the writer of Zeiss' own library."""
+    czi = pytest.importorskip("pylibCZIrw.czi")
+    with czi.create_czi(str(path)) as file:
+        for t, frame in enumerate(movie.astype(np.uint16)):
+            file.write(data=frame[..., None], plane={"T": t, "C": 0, "Z": 0})
+        written = {"ExposureTime": 0.03, "EMGain": 250}
+        file.write_metadata("movie", scale_x=107.5e-9, scale_y=107.5e-9, custom_attributes=written)
+    return path
+
+
+WRITERS = {".pma": write_pma, ".czi": write_czi}
+
+
+@pytest.fixture(params=sorted(WRITERS))
+def path(request, tmp_path):
+    return WRITERS[request.param](tmp_path / f"movie{request.param}")
+
+
+# files of the format ------------------------------------------------------------------------------------------
+def test_movies_are_read_lazily_and_whole(path):
+    read = files.read_movie(path)
+    assert read.data.shape == MOVIE.shape and read.data.dtype == (np.uint8 if path.suffix == ".pma" else np.uint16)
+    np.testing.assert_array_equal(files.load(path), MOVIE)
+    np.testing.assert_array_equal(np.asarray(read.data[4]), MOVIE[4])
+    np.testing.assert_array_equal(np.asarray(read.data[2:7, 3:9, ::2]), MOVIE[2:7, 3:9, ::2])
+
+
+def test_the_file_is_read_in_parts(tmp_path, monkeypatch):
+    monkeypatch.setattr(formats, "CHUNK_BYTES", 2 * 16 * 24)
+    path = write_pma(tmp_path / "m.pma")
+    read = files.read_movie(path)
+    assert read.data.numblocks == (5, 1, 1)
+    asked = []
+    seek = formats.FrameReader.__getitem__
+    monkeypatch.setattr(formats.FrameReader, "__getitem__", lambda self, i: asked.append(i) or seek(self, i))
+    np.asarray(read.data[4])
+    assert len(asked) == 1
+
+
+def test_what_a_czi_says_of_the_instrument_is_known_everywhere(tmp_path, capsys):
+    path = write_czi(tmp_path / "m.czi")
+    written = read_instrument(path)
+    assert written.pixel_size_nm == pytest.approx(107.5) and written.exposure_s == pytest.approx(0.03)
+    assert written.em_gain == 250
+    assert files.read_movie(path).pixel_size_nm == pytest.approx(107.5)
+    with pytest.raises(SystemExit) as leaving:
+        main(["info", str(path)])
+    out = capsys.readouterr().out
+    assert leaving.value.code == 0 and "107.5" in out and "0.03" in out and "16 × 24" in out
+    model = as_written(preset("FF"), written)
+    assert model.acquisition.pixel_size_nm == pytest.approx(107.5) and model.acquisition.frame_length_s == 0.03
+    assert values_written(model, written) == {}
+
+
+def test_movies_come_into_the_viewer_with_their_scale(path):
+    data, options, kind = movie_layer(path)
+    assert kind == "image" and data.shape == MOVIE.shape and options["name"] == "movie"
+    read = get_reader(str(path))
+    assert read is not None and read(str(path))[0][0].shape == MOVIE.shape
+    if path.suffix == ".czi":
+        assert options["scale"] == pytest.approx((1.0, 0.1075, 0.1075)) and options["units"] == ("pixel", "um", "um")
+        layer = SimpleNamespace(metadata=options["metadata"])
+        assert instrument_of(layer).exposure_s == pytest.approx(0.03)
+
+
+def test_other_verbs_take_them_too(tmp_path, capsys):
+    model = preset("FF").with_values({"acquisition.n_frames": 30, "acquisition.shape_px": (48, 48)})
+    import napari_mufasa as nm
+
+    write_czi(tmp_path / "m.czi", nm.simulate(model, seed=1).movie)
+    model.to_json(tmp_path / "model.json")
+    arguments = ["traces", tmp_path / "m.czi", "--model", tmp_path / "model.json", "--out", tmp_path / "t"]
+    with pytest.raises(SystemExit) as leaving:
+        main([str(a) for a in arguments])
+    told = capsys.readouterr()
+    assert leaving.value.code == 0 and "molecules kept" in told.out
+    assert "107.5 nm" in told.err and "exposed for 30 ms" in told.err  # not what the model says
+
+
+# what cannot be read --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("suffix", sorted(formats.FORMATS))
+@pytest.mark.parametrize("content", [b"", b"no movie at all", b"\0" * 2000, bytes(range(256)) * 40])
+def test_damaged_files_are_told_in_one_line(tmp_path, suffix, content):
+    path = tmp_path / f"broken{suffix}"
+    path.write_bytes(content)
+    if (
+        suffix == ".pma"
+        and len(content) > 4
+        and content[0]
+        and (len(content) - 4) % (content[0] + 256 * content[1]) == 0
+    ):
+        return
+    with pytest.raises(MufasaError) as caught:
+        np.asarray(files.read_movie(path).data)
+    assert "\n" not in str(caught.value) and "broken" in str(caught.value)
+    assert read_instrument(path) == Instrument()
+
+
+def test_a_truncated_pma_is_told(tmp_path):
+    path = write_pma(tmp_path / "m.pma")
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(MufasaError, match="truncated"):
+        files.read_movie(path)
+
+
+def test_channels_are_refused_with_their_number(tmp_path):
+    czi = pytest.importorskip("pylibCZIrw.czi")
+    with czi.create_czi(str(tmp_path / "two.czi")) as file:
+        for channel in range(2):
+            file.write(data=MOVIE[0].astype(np.uint16)[..., None], plane={"T": 0, "C": channel, "Z": 0})
+    with pytest.raises(MufasaError, match="2 channels"):
+        files.read_movie(tmp_path / "two.czi")
+
+
+@pytest.mark.parametrize(("suffix", "module"), [(".nd2", "nd2"), (".sif", "sif_parser"), (".lif", "liffile")])
+def test_a_missing_library_is_named(tmp_path, monkeypatch, suffix, module):
+    import importlib
+
+    imported = importlib.import_module
+
+    def without(name, *rest):
+        if name == module:
+            raise ImportError(name)
+        return imported(name, *rest)
+
+    monkeypatch.setattr(importlib, "import_module", without)
+    (tmp_path / f"m{suffix}").write_bytes(b"x")
+    with pytest.raises(MufasaError, match=rf"{module}.*napari-mufasa\[formats\]"):
+        files.read_movie(tmp_path / f"m{suffix}")
+
+
+# metadata: names and units of the libraries, without a file ---------------------------------------------------------
+def taken(pairs):
+    found = {}
+    for name, value in pairs:
+        _take(found, name, value)
+    return Instrument(**found)
+
+
+def test_zeiss_times_are_in_ns_and_lengths_in_m():
+    about = {
+        "Scaling": {"Items": {"Distance": [{"@Id": "X", "Value": "6.45e-08"}, {"@Id": "Z", "Value": "1e-6"}]}},
+        "Information": {
+            "Image": {
+                "Dimensions": {
+                    "Channels": {"Channel": {"ExposureTime": "50000000", "DetectorSettings": {"Gain": "0"}}},
+                    "T": {"Positions": {"Interval": {"Increment": "0.1"}}},
+                }
+            },
+            "Instrument": {"Detectors": {"Detector": {"Manufacturer": {"Model": "Evolve 512"}}}},
+        },
+    }
+    told = taken(formats._czi_settings({"ImageDocument": {"Metadata": about}}))
+    assert told == Instrument(camera="Evolve 512", exposure_s=0.05, interval_s=0.1, pixel_size_nm=pytest.approx(64.5))
+
+
+def test_nikon_exposures_are_said_in_words():
+    file = SimpleNamespace(
+        voxel_size=lambda: SimpleNamespace(x=0.16, y=0.16, z=1.0),
+        text_info={"capturing": "Camera: Andor DU-897\n  Exposure: 2 s\n  EM Gain: 300\n  Readout Mode: EM 17MHz"},
+        experiment=[SimpleNamespace(parameters=SimpleNamespace(periodMs=2100.0))],
+    )
+    told = taken(formats._nd2_settings(file))
+    assert told.exposure_s == 2.0 and told.em_gain == 300 and told.interval_s == pytest.approx(2.1)
+    assert told.pixel_size_nm == pytest.approx(160)
+
+
+def test_andor_names_are_known():
+    told = taken({"ExposureTime": 0.02, "CycleTime": 0.0215, "GainDAC": 200.0, "DetectorType": "DU-897"}.items())
+    assert told == Instrument(camera="DU-897", em_gain=200.0, exposure_s=0.02, interval_s=0.0215)
+
+
+def test_metadata_do_not_change_what_they_do_not_say():
+    model = preset("FF")
+    assert values_written(model, Instrument()) == {} and as_written(model, Instrument()) == model
+    said = values_written(model, Instrument(exposure_s=0.05, interval_s=0.1, em_gain=1.0, baseline_adu=90.0))
+    assert set(said) == {"acquisition.frame_length_s", "acquisition.frame_interval_s"}
