@@ -72,7 +72,7 @@ def of_light(lit: Correlations, dark: Correlations | None, read_variance: float)
     own are the dark ones (without dark frames: the same)."""
     found = np.zeros(LAGS)
     known = 0 if dark is None or read_variance <= 0 else len(dark.kernel)
-    # Where the dark shows a kernel, what light has of it is kept however small it looks: none would be no better known.
+    # Where the dark shows a kernel, its first share in light is kept however small it looks: none is no better known.
     n = max(len(lit.kernel), known)
     found[:n] = (lit.row - lit.column)[:n]
     if dark is None or read_variance <= 0 or n == 0:
@@ -82,7 +82,7 @@ def of_light(lit: Correlations, dark: Correlations | None, read_variance: float)
     light = max(lit.variance - read_variance, 1e-9)
     found = (found * lit.variance - own * read_variance) / light
     unsure = np.abs(found) < SURE * np.sqrt(2) * lit.sd * lit.variance / light
-    unsure[:known] = False
+    unsure[: min(known, 1)] = False
     found[unsure] = 0.0
     return found
 
