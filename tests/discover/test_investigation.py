@@ -165,6 +165,17 @@ def test_an_alarm_that_no_fit_confirms_is_chance_unless_the_whole_misfit_is_not(
 
 
 @pytest.mark.parametrize(
+    ("alarmed", "affords", "verdict"),
+    [(True, False, "unexplained"), (True, True, "adequate"), (False, False, "adequate")],
+)
+def test_an_alarm_that_the_budget_let_nobody_follow_is_no_adequate_model(alarmed, affords, verdict):
+    null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: 0.5))
+    stand = SimpleNamespace(added=(), null=null, misfit=100.0, needed=20.0, error=1.5, alarmed=alarmed)
+    inquiry = SimpleNamespace(first=stand, stand=stand, ranking=[], affords=lambda n: affords)
+    assert reporting.verdict_of(inquiry) == verdict
+
+
+@pytest.mark.parametrize(
     ("p_left", "after", "farthest", "verdict"),
     [
         (0.5, 1.0, 4.3, "missing_effect"),  # of 111 observables one may be off by 4.4 with a chance of 0.001

@@ -1,4 +1,4 @@
-"""Verbs that measure an instrument and propose what to believe: calibrate, propose."""
+"""Verbs that measure what to believe: calibrate, propose, infer; and tell what a file says: info."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from napari_mufasa.cli.options import CameraName, DarkFile, ModelFile, MovieFile
 
 if TYPE_CHECKING:
     from napari_mufasa.calibrate.found import Calibration
+    from napari_mufasa.calibrate.known import Known
     from napari_mufasa.calibrate.value import Value
 
 Gain = Annotated[float | None, typer.Option("--em-gain", min=1, metavar="G", help="If known.")]
@@ -115,15 +116,7 @@ def propose(
             electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, pixel_size_nm=pixel_size_nm,
             frame_length_s=frame_length_s, **work.both(),
         )  # fmt: skip
-    found.model.to_json(out)
-    console.tell_origin(out, None, (movie, dark))
-    if report is not None:
-        files.write_json(report, found.report())
-    console.print_table(("proposed", "value [95 %]"), [(name, _measured(v)) for name, v in found.values.items()])
-    for name, words in found.unknown.items():
-        typer.echo(f"unknown: {name}: {words}")
-    for note in found.notes:
-        typer.echo(f"note: {note}")
+    console.tell_origin(_written(found, "proposed", out, report), None, (movie, dark))
     typer.echo(f"{out}: a model to start from")
 
 
@@ -139,7 +132,6 @@ def infer(
     overwrite: Overwrite = False,
 ) -> None:
     """Infer brightness, bleaching, dark state and activation from traces, and say what cannot be told apart."""
-    from napari_mufasa import files
     from napari_mufasa.files.traces import read_traces
     from napari_mufasa.infer import infer_photophysics
     from napari_mufasa.model.model import Model
@@ -154,16 +146,8 @@ def infer(
         found = infer_photophysics(
             values, believed, unit=unit or found_unit, all_molecules=all_molecules, **work.both()
         )  # fmt: skip
-    found.model.to_json(out)
-    console.tell_origin(out, believed, (traces, model))
-    if report is not None:
-        files.write_json(report, found.report())
     typer.echo(f"{traces}: {found.n_molecules} molecules")
-    console.print_table(("inferred", "value [95 %]"), [(name, _measured(v)) for name, v in found.values.items()])
-    for name, words in found.unknown.items():
-        typer.echo(f"unknown: {name}: {words}")
-    for note in found.notes:
-        typer.echo(f"note: {note}")
+    console.tell_origin(_written(found, "inferred", out, report), believed, (traces, model))
     typer.echo(f"{out}: the model with what was inferred")
 
 
@@ -182,6 +166,21 @@ def info(movie: MovieFile) -> None:
     rows += list(read.instrument.known().items())
     rows += [("model", f"{model.get('protocol')}, seed {read.seed}")] if isinstance(model, dict) else []
     console.print_table(("what", "value"), rows)
+
+
+def _written(found: Known, how: str, out: Path, report: Path | None) -> Path:
+    """The model and the report written, values, gaps and notes printed."""
+    from napari_mufasa import files
+
+    found.model.to_json(out)
+    if report is not None:
+        files.write_json(report, found.report())
+    console.print_table((how, "value [95 %]"), [(name, _measured(v)) for name, v in found.values.items()])
+    for name, words in found.unknown.items():
+        typer.echo(f"unknown: {name}: {words}")
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+    return out
 
 
 def _rows(found: Calibration) -> list[tuple[str, str]]:

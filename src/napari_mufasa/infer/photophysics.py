@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import checks
+from napari_mufasa.calibrate.known import Known
 from napari_mufasa.calibrate.value import NORMAL, Value
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.infer.likelihood import Fitted, Problem, fitted, own_factors, unpacked, with_errors
@@ -28,7 +29,7 @@ UNCERTAIN = 1.5  # sd of a logarithm from which on a number is not known
 
 
 @dataclass(frozen=True)
-class Photophysics:
+class Photophysics(Known):
     """What traces say of the molecules.
 
     Attributes
@@ -43,21 +44,11 @@ class Photophysics:
     n_molecules : traces used
     """
 
-    model: Model
-    values: dict[str, Value]
-    unknown: dict[str, str]
-    notes: tuple[str, ...]
     n_molecules: int
 
     def report(self) -> dict[str, Any]:
         """Plain data."""
-        return {
-            "model": self.model.to_dict(),
-            "values": {name: value.plain() for name, value in self.values.items()},
-            "unknown": self.unknown,
-            "notes": list(self.notes),
-            "n_molecules": self.n_molecules,
-        }
+        return super().report() | {"n_molecules": self.n_molecules}
 
 
 def infer_photophysics(

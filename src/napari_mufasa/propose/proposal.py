@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_mufasa.calibrate.found import Calibration
+from napari_mufasa.calibrate.known import Known
 from napari_mufasa.calibrate.measure import CameraType, calibrate
 from napari_mufasa.calibrate.value import NORMAL, Value
 from napari_mufasa.errors import MufasaError
@@ -31,7 +32,7 @@ COLLECTION = 0.1
 
 
 @dataclass(frozen=True)
-class Proposal:
+class Proposal(Known):
     """A believed model, and how far each of its values is known.
 
     Attributes
@@ -43,23 +44,13 @@ class Proposal:
     calibration : of the camera; None where it could not be measured
     """
 
-    model: Model
-    values: dict[str, Value]
-    unknown: dict[str, str]
-    notes: tuple[str, ...]
     instrument: Instrument
     calibration: Calibration | None
 
     def report(self) -> dict[str, Any]:
         """Plain data."""
-        return {
-            "model": self.model.to_dict(),
-            "values": {name: value.plain() for name, value in self.values.items()},
-            "unknown": self.unknown,
-            "notes": list(self.notes),
-            "metadata": self.instrument.known(),
-            "calibration": None if self.calibration is None else self.calibration.report(),
-        }
+        calibration = None if self.calibration is None else self.calibration.report()
+        return super().report() | {"metadata": self.instrument.known(), "calibration": calibration}
 
 
 def propose_model(
