@@ -127,9 +127,8 @@ def test_what_comes_to_next_to_none_stays_out_unless_a_user_asked_for_it():
     inquiry = Investigation(movie, small(), seed=2, effects=["molecule_diffusion"])
     inquiry.examine()
     leads = inquiry.stand.leads["molecule_diffusion"]
-    inquiry.take_up([leads])
+    assert inquiry.take_up([leads]) == {"molecule_diffusion"}
     assert inquiry.chosen == [] and not inquiry.model.effects
-    inquiry.undo()
     inquiry.add("molecule_diffusion")
     assert inquiry.chosen == ["molecule_diffusion"]
 

@@ -112,8 +112,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         if known and not apart and inquiry.exchange(rivals=not leads):
             pass
         elif leads and inquiry.affords(len(leads)):
-            inquiry.take_up(leads)
-            dropped = {forms[0].ray.effect.kind for forms in leads} - set(inquiry.chosen)
+            dropped = inquiry.take_up(leads)
         else:
             break
         dropped |= inquiry.prune()

@@ -113,14 +113,19 @@ class Investigation(Standing):
         self.kinds += [kind for kind in kinds if kind not in self.kinds]
         self._settle(state)
 
-    def take_up(self, leads: Sequence[Sequence[Lead]]) -> None:
-        """Fit promising effects into the model together; those that come to next to none stay out."""
-        stand = self.stand
+    def take_up(self, leads: Sequence[Sequence[Lead]]) -> set[str]:
+        """Fit promising effects into the model together. Returns the kinds that stay out: what comes to next to none,
+        and where all together explain nothing (the step is taken back) all but the first, or that, too, were it alone."""
+        stand, kinds = self.stand, [forms[0].ray.effect.kind for forms in leads]
         self.bench.plan(len(leads) * SIMULATIONS + self._settling(len(leads)))
         state = stand.state
         for forms in leads:
             state = started(stand.library, state, forms, stand.x)
-        self._settle(state, [forms[0].ray.effect.kind for forms in leads])
+        self._settle(state, kinds)
+        if self.stand.misfit < stand.misfit:
+            return set(kinds) - set(self.chosen)
+        self.undo()
+        return set(kinds[1:] or kinds)
 
     def remove(self, kind: str) -> None:
         """Take one effect out; the others are fitted anew."""
