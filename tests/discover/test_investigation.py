@@ -1,12 +1,13 @@
 """The conversation: what is taken up, taken out and exchanged, what is told of it, and what is the user's own."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover import reporting
+from napari_mufasa.discover import joint, reporting
 from napari_mufasa.discover.automatic import play
 from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.investigation import Investigation
@@ -122,15 +123,13 @@ def test_uncommon_effects_are_considered_where_the_others_leave_the_model_off_it
     assert not near.widen() and near.kinds == KINDS[:1]
 
 
-def test_what_comes_to_next_to_none_stays_out_unless_a_user_asked_for_it():
-    movie = nm.simulate(small(), seed=5).movie
-    inquiry = Investigation(movie, small(), seed=2, effects=["molecule_diffusion"])
-    inquiry.examine()
-    leads = inquiry.stand.leads["molecule_diffusion"]
-    assert inquiry.take_up([leads]) == {"molecule_diffusion"}
-    assert inquiry.chosen == [] and not inquiry.model.effects
-    inquiry.add("molecule_diffusion")
-    assert inquiry.chosen == ["molecule_diffusion"]
+@pytest.mark.parametrize("on_trial", [True, False])
+def test_what_comes_to_next_to_none_stays_out_where_it_was_on_trial(inquiry, on_trial):
+    stand, kind = inquiry.first, "row_noise"
+    state = replace(stand.state, model=stand.state.model.with_effects(effect_class(kind)(rms_adu=1e-3)))
+    near = joint.settled(stand.library, state, stand.x, KINDS, 0, [kind] if on_trial else [])
+    assert [effect.kind for effect in near.base.model.effects] == ([] if on_trial else [kind])
+    assert (kind in near.rays) == on_trial
 
 
 def test_no_more_than_so_many_effects_are_added():

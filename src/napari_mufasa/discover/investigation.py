@@ -115,7 +115,7 @@ class Investigation(Standing):
 
     def take_up(self, leads: Sequence[Sequence[Lead]]) -> set[str]:
         """Fit promising effects into the model together. Returns the kinds that stay out: what comes to next to none,
-        and where all together explain nothing (the step is taken back) all but the first, or that, too, were it alone."""
+        and where all together explain nothing (the step is taken back) all but the first, or an only one."""
         stand, kinds = self.stand, [forms[0].ray.effect.kind for forms in leads]
         self.bench.plan(len(leads) * SIMULATIONS + self._settling(len(leads)))
         state = stand.state
