@@ -63,7 +63,7 @@ class GapBench(Bench):
     def free_values(self, model):
         return []
 
-    def read_off(self, kind):
+    def read_off(self, kind, beside=None):
         return {}
 
     simulated = matched = curves = w1 = restored = None

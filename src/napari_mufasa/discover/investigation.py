@@ -62,8 +62,8 @@ class Investigation(Standing):
     ) -> None:
         _check(model, seed)
         self.measurement = prepare(movie, model, dark)
-        super().__init__(MovieBench(self.measurement, seed, progress, cancel), model, budget)
-        self._consider(effects, list(catalogue()))
+        considered = _considered(effects, list(catalogue()), model)
+        super().__init__(MovieBench(self.measurement, seed, progress, cancel), model, budget, *considered)
 
     # Steps --------------------------------------------------------------------------------------------------
 
@@ -205,12 +205,6 @@ class Investigation(Standing):
 
     # Inside -------------------------------------------------------------------------------------------------
 
-    def _consider(self, named: Sequence[str] | None, shown: Sequence[str]) -> None:
-        """The kinds considered: those named, or of those `shown` by the measurement the common ones first."""
-        kinds = _suitable(shown if named is None else named, self.believed)
-        common = [kind for kind in kinds if named is not None or effect_class(kind).common_in(self.believed)]
-        self.kinds, self.further = common, [kind for kind in kinds if kind not in common]
-
     def _settle(self, state: State, on_trial: Sequence[str] = ()) -> None:
         """All free values fitted together, and the neighbourhood simulated anew: a further stand."""
         last = self.stand
@@ -276,17 +270,25 @@ class TraceInvestigation(Investigation):
         cancel: Callable[[], bool] | None = None,
     ) -> None:
         _check(model, seed)
+        considered = _considered(effects, candidate_kinds(), model)
         bench = TraceBench(
             traces, model, unit, profile, background_subtracted, pixel_share, seed=seed, progress=progress,
             cancel=cancel,
         )  # fmt: skip
-        Standing.__init__(self, bench, model, budget)
-        self._consider(effects, candidate_kinds())
+        Standing.__init__(self, bench, model, budget, *considered)
 
 
 def _check(model: Model, seed: int) -> None:
     checks.need(model, Model, "model", "give nm.preset(…) or nm.Model.from_json(…)")
     Streams(seed)  # raises on a bad seed
+
+
+def _considered(named: Sequence[str] | None, shown: Sequence[str], model: Model) -> tuple[list[str], list[str]]:
+    """The kinds considered, and those considered later: those named, or of those `shown` by the measurement the common
+    ones first."""
+    kinds = _suitable(shown if named is None else named, model)
+    first = [kind for kind in kinds if named is not None or effect_class(kind).common_in(model)]
+    return first, [kind for kind in kinds if kind not in first]
 
 
 def _suitable(kinds: Sequence[str], model: Model) -> list[str]:

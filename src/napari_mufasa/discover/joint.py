@@ -48,7 +48,7 @@ def settled(
         model = model.model_copy(update={"effects": tuple(stay)})
         added = [effect.kind for effect in stay if effect.kind in added]
         others = [kind for kind in kinds if kind not in added]
-    return neighbourhood.build(library.bench, model, others, added, state.values, library.rays)
+    return neighbourhood.build(library.bench, model, others, added, state.values, library.rays, x)
 
 
 def settling_simulations(library: Library, kinds: Sequence[str], n_free: int, model: Model) -> int:

@@ -98,9 +98,10 @@ def build(
     added: Sequence[str] = (),
     values: Sequence[Nuisance] | None = None,
     last: Mapping[str, list[Ray]] | None = None,
+    x: Array | None = None,
 ) -> Library:
     """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks; where
-    those of the `last` stand are known, of the most promising ones only.
+    those of the `last` stand are known, only of those that promise most of the measurement x (part, observable).
 
     Free are its nuisance values (`values`, which know where they started; None: here) and the parameters of the
     effects that were `added`, but for those that are read off the movie; effects of the model believed stay as they
@@ -127,8 +128,8 @@ def build(
     base = _with_noise_of(replace(bare, slopes=slopes), rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
     library = Library(bench, base, rows, {})
-    known = {kind: last[kind] for kind in kinds if kind in last} if last else {}
-    promise = {kind: leads[0].gain for kind, leads in base.screen(bench.x, known).items()}
+    known = {kind: last[kind] for kind in kinds if kind in last} if last and x is not None else {}
+    promise = {} if x is None else {kind: leads[0].gain for kind, leads in base.screen(x, known).items()}
     dull = sorted(promise, key=lambda kind: -promise[kind])[RENEWED:]
     library = replace(library, rays={kind: known[kind] for kind in dull})
     return with_rays(library, [kind for kind in kinds if kind not in dull])

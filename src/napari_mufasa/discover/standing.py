@@ -26,11 +26,12 @@ class Standing:
     ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent
     """
 
-    def __init__(self, bench: Bench[Any], believed: Model, budget: int | None) -> None:
+    def __init__(
+        self, bench: Bench[Any], believed: Model, budget: int | None, kinds: list[str], further: list[str]
+    ) -> None:
         self._started = time.monotonic()
         self.bench, self.believed, self.seed = bench, believed, bench.seed
-        self.kinds: list[str] = []
-        self.further: list[str] = []
+        self.kinds, self.further = kinds, further
         timing = bench.start.acquisition
         affordable = min(BUDGET, BUDGET_VALUES // (timing.n_frames * int(np.prod(timing.shape_px))))
         self.budget = affordable if budget is None else budget
