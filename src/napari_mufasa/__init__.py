@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     from napari_mufasa.denoise import denoise, pure_let
     from napari_mufasa.design.predict import Prediction, design, predict
     from napari_mufasa.design.solve import Solution, solve
-    from napari_mufasa.discover import Investigation, Report, diagnose, diagnose_traces, refine
+    from napari_mufasa.discover import (
+        Confirmation,
+        Investigation,
+        Report,
+        confirm,
+        confirm_halves,
+        diagnose,
+        diagnose_traces,
+        refine,
+    )
     from napari_mufasa.effects import Effect, catalogue
     from napari_mufasa.errors import Cancelled, MufasaError
     from napari_mufasa.infer import Photophysics, infer_photophysics
@@ -32,7 +41,16 @@ _HOMES = {
     "compare": ("Comparison", "compare_movie", "compare_traces", "wasserstein"),
     "denoise": ("denoise", "pure_let"),
     "design": ("Prediction", "Solution", "design", "predict", "solve"),
-    "discover": ("Investigation", "Report", "diagnose", "diagnose_traces", "refine"),
+    "discover": (
+        "Confirmation",
+        "Investigation",
+        "Report",
+        "confirm",
+        "confirm_halves",
+        "diagnose",
+        "diagnose_traces",
+        "refine",
+    ),
     "effects": ("Effect", "catalogue"),
     "errors": ("Cancelled", "MufasaError"),
     "infer": ("Photophysics", "infer_photophysics"),
@@ -44,12 +62,12 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Calibration", "Camera", "Cancelled", "Comparison", "Effect", "Investigation", "Mismatch", "Model",
+    "Calibration", "Camera", "Cancelled", "Comparison", "Confirmation", "Effect", "Investigation", "Mismatch", "Model",
     "MufasaError", "Photophysics", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation",
     "Solution", "TraceSet",
-    "calibrate", "catalogue", "compare_movie", "compare_traces", "denoise", "design", "diagnose",
-    "diagnose_traces", "extract_traces", "infer_photophysics", "mismatches", "predict", "preset", "propose_model",
-    "pure_let", "refine", "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
+    "calibrate", "catalogue", "compare_movie", "compare_traces", "confirm", "confirm_halves", "denoise", "design",
+    "diagnose", "diagnose_traces", "extract_traces", "infer_photophysics", "mismatches", "predict", "preset",
+    "propose_model", "pure_let", "refine", "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

@@ -226,17 +226,29 @@ def test_far_from_a_measurement_free_values_go_downhill_as_far_as_simulations_co
     one_step = stand.state.model_at(stand.state.adjusted(stand.x).moves)
     found = joint.descended(stand.library, stand.state, bench.start, stand.x, 1000)
     if light == 2.0:
-        assert found is bench.start  # nothing is nearer
+        assert found.model is bench.start  # nothing is nearer
         return
     assert one_step.optics.brightness_correction < 0.9 * light
-    assert found.optics.brightness_correction == pytest.approx(light, rel=0.03)
+    assert found.model.optics.brightness_correction == pytest.approx(light, rel=0.03)
+
+
+@pytest.mark.parametrize("light", [2.0, 3.6])
+def test_a_neighbourhood_is_left_only_where_a_step_leads_to_the_measurement(light):
+    bench = CurvedBench()
+    stand = stand_of(bench, bench.start.with_values({"optics.brightness_correction": light}), kinds=[])
+    deeper = joint.deepened(stand.library, stand.x, [], 1000)
+    if light == 2.0:
+        assert deeper is None
+        return
+    assert deeper.base.misfit(stand.x) < usual_misfit() < stand.misfit
+    assert deeper.base.model.optics.brightness_correction == pytest.approx(light, rel=0.03)
 
 
 def test_no_more_is_spent_than_may_be():
     bench = CurvedBench()
     stand = stand_of(bench, bench.start.with_values({"optics.brightness_correction": 3.6}), kinds=[])
     before = bench.done
-    assert joint.descended(stand.library, stand.state, bench.start, stand.x, 6) is bench.start
+    assert joint.descended(stand.library, stand.state, bench.start, stand.x, 6).model is bench.start
     assert bench.done - before == joint.TRIALS  # it looked where it stood
 
 

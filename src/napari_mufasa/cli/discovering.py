@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -52,15 +53,26 @@ def diagnose(
     unit: TraceUnit = None,
     profile: TraceProfile = None,
     with_background: TraceBackground = None,
+    check: Annotated[
+        Path | None,
+        typer.Option("--check", metavar="MOVIE", help="Does it hold in this other movie of the same set-up?"),
+    ] = None,
+    halves: Annotated[
+        bool, typer.Option("--halves", help="Do the two halves of the field say the same? (two diagnoses more)")
+    ] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
     from napari_mufasa import discover, files
     from napari_mufasa.model.model import Model
 
-    console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark)
+    console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark, check)
     believed = Model.from_json(model)
+    if check is not None and halves:
+        raise MufasaError("--check and --halves: one of them at a time")
     if traces:
+        if check is not None or halves:
+            raise MufasaError("--check and --halves belong to a movie: drop them for a table of traces")
         if dark is not None:
             raise MufasaError("--dark belongs to a movie; traces have their background taken off or not: drop it")
         table = trace_table(movie, unit, profile, with_background)
@@ -76,7 +88,16 @@ def diagnose(
     recorded = _loaded(movie, believed, background)
     with console.working("diagnosing") as work:
         report = discover.diagnose(recorded, believed, background, seed=seed, budget=budget, **work.both())
-    _finish_movie(out, report, recorded, background, [movie, model, dark])
+    if check is not None:
+        other = _loaded(check, believed, background)
+        with console.working(f"checking on {check.name}") as work:
+            held = discover.confirm(report, other, believed, background, seed=seed, budget=budget, **work.both())
+        report = replace(report, check=held.to_dict(check.name))
+    if halves:
+        with console.working("checking on two halves") as work:
+            held = discover.confirm_halves(recorded, believed, background, seed=seed, budget=budget, **work.both())
+        report = replace(report, check=held.to_dict("the two halves of the field, apart"))
+    _finish_movie(out, report, recorded, background, [movie, model, dark, check])
 
 
 def refine(

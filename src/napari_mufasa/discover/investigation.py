@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
 from napari_mufasa.discover import joint, library
@@ -121,11 +123,24 @@ class Investigation(Standing):
         state = stand.state
         for forms in leads:
             state = started(stand.library, state, forms, stand.x)
-        self._settle(state, kinds)
-        if self.stand.misfit < stand.misfit:
-            return set(kinds) - set(self.chosen)
-        self.undo()
+        if self._settle(state, kinds, stand.misfit):
+            if self.stand.misfit < stand.misfit:
+                return set(kinds) - set(self.chosen)
+            self.undo()
         return set(kinds[1:] or kinds)
+
+    def deepen(self) -> bool:
+        """All free values further downhill from where they stand. True if that explains more."""
+        stand = self.stand
+        self.bench.plan(self._settling(0))
+        near = joint.deepened(stand.library, stand.x, self.kinds, self.left)
+        if near is None:
+            return False
+        self._stand_at(near)
+        if self.stand.misfit < stand.misfit and self.stand.error < stand.error:
+            return True
+        self.undo()
+        return False
 
     def remove(self, kind: str) -> None:
         """Take one effect out; the others are fitted anew."""
@@ -166,6 +181,19 @@ class Investigation(Standing):
                 dropped.add(kind)
         return dropped
 
+    def overtake(self) -> bool:
+        """Put a rival in the place of an effect where it promises more than that is worth. True if one explains more;
+        each is tried once."""
+        for kind in self.stand.added if len(self.stand.added) > 1 else ():
+            rivals = {forms[0].ray.effect.kind: forms for forms in self.stand.rivals_of(kind, 1.0)}
+            new = [rival for rival in rivals if (kind, rival) not in self._compared][:RIVALS]
+            self._compared |= {(kind, rival) for rival in new}
+            if not new or not self.affords(1):
+                continue
+            if self._replaced(kind, self._begun_without(kind, [rivals[rival] for rival in new])):
+                return True
+        return False
+
     def exchange(self, rivals: bool = True) -> bool:
         """Try other forms, and `rivals`, in the place of each effect; keep the first that explains more. What could not
         be told from an effect is noted with its worth."""
@@ -173,31 +201,38 @@ class Investigation(Standing):
             stand = self.stand
             if not self.affords(1):
                 return False
-            worth, without = stand.worths[kind], joint.removed(stand.library, kind)
-            tries = self._rivals_tried(without, worth) if rivals else []
+            tries = self._begun_without(kind, stand.rivals_of(kind, RIVAL)[:RIVALS] if rivals else ())
             effect = next(e for e in stand.state.model.effects if e.kind == kind)
             if not stand.content and (others := [e for e in _each_form(effect) if e.chosen != effect.chosen]):
-                tries.append(begun(stand.library, without, others, stand.x))
-            tries.sort(key=lambda state: state.surprise(stand.x))
-            behind = {t.model.effects[-1].kind: t.misfit(stand.x) - stand.misfit for t in tries}
-            if near := {k: by for k, by in behind.items() if k != kind and by < NEAR}:
-                self.stands[-1] = stand = stand.confirming(kind, replace(worth, rivals=near))
-            surprise = stand.state.surprise(stand.x)
-            if tries and tries[0].surprise(stand.x) < surprise + (0.0 if stand.content else 2 * NEAR):
-                self._settle(tries[0])
-                other = self.stands.pop()
-                if other.state.surprise(stand.x) < surprise - NEAR and other.error < stand.error:
-                    self.stands[-1] = other
-                    return True
+                tries.append(begun(stand.library, stand.without(kind), others, stand.x))
+            if self._replaced(kind, tries):
+                return True
         return False
 
-    def _rivals_tried(self, without: State, worth: Worth) -> list[State]:
-        """What would explain much of what an effect is worth, started in its place."""
+    def _begun_without(self, kind: str, leads: Sequence[Sequence[Lead]]) -> list[State]:
+        """Each lead started in the place of an effect."""
         stand = self.stand
-        leads = without.screen(stand.x, stand.library.rays)
-        order = sorted(leads, key=lambda kind: -leads[kind][0].gain)
-        promising = [kind for kind in order if leads[kind][0].gain > RIVAL * max(worth.evidence, stand.needed)]
-        return [started(stand.library, without, leads[kind], stand.x) for kind in promising[:RIVALS]]
+        return [started(stand.library, stand.without(kind), forms, stand.x) for forms in leads]
+
+    def _replaced(self, kind: str, tries: list[State]) -> bool:
+        """Settle the best of `tries`, in each of which something else is in the place of an effect; keep it where it
+        explains more."""
+        stand = self.stand
+        tries = sorted(tries, key=lambda state: state.surprise(stand.x))
+        behind = {t.model.effects[-1].kind: t.misfit(stand.x) - stand.misfit for t in tries}
+        if near := {k: by for k, by in behind.items() if k != kind and by < NEAR}:
+            stand = stand.confirming(kind, replace(stand.worths[kind], rivals=near))
+            self.stands[-1] = stand
+        surprise = stand.state.surprise(stand.x)
+        if not tries or tries[0].surprise(stand.x) > surprise + (0.0 if stand.content else 2 * NEAR):
+            return False
+        if not self._settle(tries[0], below=stand.misfit + NEAR):
+            return False
+        other = self.stands.pop()
+        if other.state.surprise(stand.x) > surprise - NEAR or other.error > stand.error:
+            return False
+        self.stands[-1] = other
+        return True
 
     def report(self, verdict: Verdict | None = None) -> Report:
         """What has been found so far."""
@@ -205,10 +240,17 @@ class Investigation(Standing):
 
     # Inside -------------------------------------------------------------------------------------------------
 
-    def _settle(self, state: State, on_trial: Sequence[str] = ()) -> None:
-        """All free values fitted together, and the neighbourhood simulated anew: a further stand."""
+    def _settle(self, state: State, on_trial: Sequence[str] = (), below: float = np.inf) -> bool:
+        """All free values fitted together, and the neighbourhood simulated anew: a further stand, if the misfit there
+        is `below` what it should be."""
         last = self.stand
-        near = joint.settled(last.library, state, last.x, self.kinds, self.left, on_trial)
+        near = joint.settled(last.library, state, last.x, self.kinds, self.left, on_trial, below)
+        if near is not None:
+            self._stand_at(near)
+        return near is not None
+
+    def _stand_at(self, near: library.Library) -> None:
+        last = self.stand
         added = tuple(effect.kind for effect in near.base.model.effects if effect.kind in self.kinds)
         order = [k for k in last.added if k in added] + [k for k in added if k not in last.added]
         self.stands.append(Stand(near, tuple(order), last.x, last.null, self.first.state))

@@ -30,25 +30,43 @@ REMOVALS = 6  # simulations of a model without one of its effects
 
 
 def settled(
-    library: Library, state: State, x: Array, kinds: Sequence[str], most: int, on_trial: Sequence[str] = ()
-) -> Library:
+    library: Library, state: State, x: Array, kinds: Sequence[str], most: int, on_trial: Sequence[str] = (),
+    below: float = np.inf,
+) -> Library | None:  # fmt: skip
     """The neighbourhood of the state's model once all its free values are brought to the measurement x (part,
-    observable) together; rays are those of `kinds` that it lacks. Effects `on_trial`
-    that come to next to none go from the model. About `most` simulations are spent, at least those
-    of the neighbourhood."""
+    observable) together; rays are those of `kinds` that it lacks. None where the misfit there is not `below` what it
+    should be. Effects `on_trial` that come to next to none go from the model. About `most` simulations are spent, at
+    least those of the neighbourhood."""
     model = state.model_at(state.adjusted(x).moves)
     if state.far_off(x):
         model = nearer(library, state, model, x)
+    there = descended(library, state, model, x, most - _around(state.free, model, kinds))
+    if not there.misfit(x) < below:
+        return None
+    model = there.model
+    stay = [e for e in model.effects if e.kind not in on_trial or not is_next_to_none(e, model)]
+    return _seen_from(library, model.model_copy(update={"effects": tuple(stay)}), x, kinds)
+
+
+def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Library | None:
+    """The neighbourhood of the library's model with its free values further downhill; None where no step leads there.
+    Of simulations about `most` are spent."""
+    here = library.base
+    there = descended(library, here, here.model, x, most - _around(here.free, here.model, kinds))
+    return _seen_from(library, there.model, x, kinds) if there.misfit(x) < NEARER * here.misfit(x) else None
+
+
+def _seen_from(library: Library, model: Model, x: Array, kinds: Sequence[str]) -> Library:
+    """The neighbourhood of a model further on, its effects of `kinds` free, rays of those that it lacks."""
     added = [effect.kind for effect in model.effects if effect.kind in kinds]
     others = [kind for kind in kinds if kind not in added]
-    left = most - neighbourhood.expected_simulations(others, len(state.free), model)
-    model = descended(library, state, model, x, left)
-    stay = [e for e in model.effects if e.kind not in on_trial or not is_next_to_none(e, model)]
-    if len(stay) < len(model.effects):
-        model = model.model_copy(update={"effects": tuple(stay)})
-        added = [effect.kind for effect in stay if effect.kind in added]
-        others = [kind for kind in kinds if kind not in added]
-    return neighbourhood.build(library.bench, model, others, added, state.values, library.rays, x)
+    return neighbourhood.build(library.bench, model, others, added, library.base.values, library.rays, x)
+
+
+def _around(free: Sequence[str], model: Model, kinds: Sequence[str]) -> int:
+    """How many simulations a neighbourhood takes at most."""
+    known = {effect.kind for effect in model.effects}
+    return neighbourhood.expected_simulations([kind for kind in kinds if kind not in known], len(free), model)
 
 
 def settling_simulations(library: Library, kinds: Sequence[str], n_free: int, model: Model) -> int:
@@ -68,9 +86,9 @@ def nearer(library: Library, state: State, model: Model, x: Array) -> Model:
     return min(found, key=lambda candidate: _seen(library, state, candidate).misfit(x))
 
 
-def descended(library: Library, state: State, model: Model, x: Array, most: int) -> Model:
-    """The model with its free values moved downhill towards the measurement x, derivatives taken anew at every step,
-    as far as simulations of where the step leads confirm it; of simulations about `most` are spent."""
+def descended(library: Library, state: State, model: Model, x: Array, most: int) -> State:
+    """Where the state's model gets, its free values moved downhill towards the measurement x, derivatives taken anew at
+    every step, as far as simulations of where the step leads confirm it; of simulations about `most` are spent."""
     before = library.bench.done
     here = _seen(library, state, model)
     for _ in range(DESCENTS):
@@ -86,18 +104,21 @@ def descended(library: Library, state: State, model: Model, x: Array, most: int)
                 break
         if not closer:
             break
-        here = there
-    return here.model
+        here = replace(there, slopes=slopes)
+    return here
 
 
 def removed(library: Library, *kinds: str) -> State:
     """The model that the library is about without some of its effects, its mean simulated, its free values where they
     are: how they would make up for it follows from their slopes."""
-    state = library.base
-    for kind in kinds:
-        state = state.without(kind)
-    rows = library.simulated([(state.model, k) for k in range(REMOVALS)])
-    return replace(state, mean=state.mean + (rows - library.rows[:REMOVALS]).mean(axis=0))
+    if kinds not in library.without:
+        state = library.base
+        for kind in kinds:
+            state = state.without(kind)
+        rows = library.simulated([(state.model, k) for k in range(REMOVALS)])
+        mean = state.mean + (rows - library.rows[:REMOVALS]).mean(axis=0)
+        library.without[kinds] = replace(state, mean=mean)
+    return library.without[kinds]
 
 
 def _seen(library: Library, state: State, model: Model) -> State:

@@ -8,7 +8,7 @@ fit (`fit.fit_effect`) decides.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,12 +35,16 @@ RAYS = 4  # settings of each effect, plus one for each shape parameter
 
 @dataclass(frozen=True)
 class Library:
-    """The base state, its paired simulations (simulation, part, observable) and rays."""
+    """The base state, its paired simulations (simulation, part, observable) and rays.
+
+    without : what is known of the base state without some of its effects
+    """
 
     bench: Bench[Any]
     base: State
     rows: Array
     rays: dict[str, list[Ray]]
+    without: dict[tuple[str, ...], State] = field(default_factory=dict)
 
     def simulated(self, jobs: Sequence[tuple[Model, int]]) -> Array:
         """Rows (job, part, observable) of models beside the base model.

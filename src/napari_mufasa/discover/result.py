@@ -91,6 +91,8 @@ class Report:
         (1: they cannot be told apart now)
     remaining : observables still off, worst first: observable, title, z, off (measured minus model) and its unit
     simulations : spent, and the budget
+    check : what data that the finding has not seen say of it (`Confirmation.to_dict`, "against" what); {} where nobody
+        asked
     """
 
     verdict: Verdict
@@ -115,6 +117,7 @@ class Report:
     credibility: dict[str, float] = field(default_factory=dict)
     remaining: list[dict[str, Any]] = field(default_factory=list)
     simulations: dict[str, int] = field(default_factory=dict)
+    check: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """report.json of docs/files.md, with the additions a reader wants."""
@@ -138,6 +141,7 @@ class Report:
             "remaining": self.remaining,
             "simulations": self.simulations,
             **({"w1": self.w1} if self.w1 else {}),
+            **({"check": self.check} if self.check else {}),
         }
 
     def to_json(self, path: str) -> None:

@@ -14,7 +14,8 @@ from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.rules import ALARM, AT_ONCE, BESIDE, CONTENT, FORM_FIRST, FURTHER, MISFIT_ALARM, SHAPE
-from napari_mufasa.discover.state import Lead, State
+from napari_mufasa.discover.state import Lead, Ray, State
+from napari_mufasa.effects import effect_class
 
 Array = NDArray[np.float64]
 SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
@@ -90,9 +91,14 @@ class Stand:
 
     def promising(self, but: set[str]) -> list[list[Lead]]:
         """The effects that explain the misfit together, each beside those before it: their forms, the best first. One
-        that moves what those before it move, and promises much less than the best, waits until they are in."""
-        found: list[list[Lead]] = []
+        that moves what those before it move, and promises much less than the best, waits until they are in; one that
+        only describes, until no other promises anything."""
         rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in but}
+        describing = {kind: rays.pop(kind) for kind in list(rays) if effect_class(kind).describes_only}
+        return self._together(rays) or self._together(describing)
+
+    def _together(self, rays: dict[str, list[Ray]]) -> list[list[Lead]]:
+        found: list[list[Lead]] = []
         while rays and len(found) < AT_ONCE:
             leads = self.state.screen(self.x, rays, [forms[0] for forms in found])
             least = {kind: self._least(forms[0], [f[0] for f in found]) for kind, forms in leads.items()}
@@ -117,7 +123,7 @@ class Stand:
         if len(self.added) == 1 and not known:  # the model without it is the one believed
             alone = self.first.score(self.x) - self.state.score(self.x)
             return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.evidence.at(ALARM))}
-        states = {kind: joint.removed(self.library, kind) for kind in self.added}
+        states = {kind: self.without(kind) for kind in self.added}
         evidence = {kind: state.misfit(self.x) - self.misfit for kind, state in states.items()}
         found = {}
         for kind, state in states.items():
@@ -127,12 +133,25 @@ class Stand:
             found[kind] = known.get(kind) or Worth(evidence[kind], state.held_out_error(self.x), needed)
         return found
 
+    def without(self, kind: str) -> State:
+        """The model without one of its effects, the others where they are."""
+        return joint.removed(self.library, kind)
+
     def stands_apart(self, lead: Lead) -> bool:
-        """Does it promise more than what the form of the effects in the model may have left, so far as it moves what
-        they moved?"""
+        """Does it promise much of what is left, and more than what the form of the effects in the model may have left,
+        so far as it moves what they moved?"""
         moved = self.state.mean - self.first.mean
         shared = _shared(lead.shift, moved, self.state.spread)
-        return lead.gain > shared * FORM_FIRST * (self.first.misfit(self.x) - self.misfit)
+        explained, left = self.first.misfit(self.x) - self.misfit, self.misfit - float(self.null.misfit.law.median())
+        return lead.gain > FORM_FIRST * max(shared * explained, left)
+
+    def rivals_of(self, kind: str, share: float) -> list[list[Lead]]:
+        """What promises more than a share of what an added effect is worth, in its place: forms of each, best first."""
+        worth = self.worths[kind]
+        laws = {k: rays for k, rays in self.library.rays.items() if not effect_class(k).describes_only}
+        leads = self.without(kind).screen(self.x, laws).values()
+        much = [forms for forms in leads if forms[0].gain > share * max(worth.evidence, self.needed)]
+        return sorted(much, key=lambda forms: -forms[0].gain)
 
     def is_worth(self, worth: Worth) -> bool:
         """Does an effect earn its place: enough evidence, and a lower held-out error?

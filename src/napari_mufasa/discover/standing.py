@@ -37,6 +37,7 @@ class Standing:
         self.budget = affordable if budget is None else budget
         self.stands: list[Stand] = []
         self.ranking: list[Candidate] = []
+        self._compared: set[tuple[str, str]] = set()  # which rivals in the place of which effects
 
     def examine(self) -> None:
         """Fit the nuisance values, simulate the neighbourhood of the model and of every effect."""

@@ -124,6 +124,7 @@ class BackgroundAsMeasured(Effect):
     stage = STAGE
     strength = "share"
     common = False
+    describes_only = True
     title = "Background as measured"
     what_it_is = "Stray and out-of-focus light of whatever shape and course the movie shows."
     what_it_does = (

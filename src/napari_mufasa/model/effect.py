@@ -57,6 +57,8 @@ class Effect(Values):
     separated_by : the extra measurement that separates them
     common : whether a diagnosis considers it from the start (see `common_in`); the others are considered where the
         common ones leave a model off its floor
+    describes_only : whether it repeats what a movie shows, whatever caused it: considered where no effect with a law
+        of its own explains anything more, and no rival of one
     order : effects are applied in the model's order, those of a lower number before. What adds molecules that others
         shall act on comes first (−1), what adds molecules of another kind last (1), what acts on all of them later (2)
     """
@@ -73,6 +75,7 @@ class Effect(Values):
     rivals: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
     common: ClassVar[bool] = True
+    describes_only: ClassVar[bool] = False
     order: ClassVar[int] = 0
 
     def apply(self, scene: Any, rng: np.random.Generator) -> None:

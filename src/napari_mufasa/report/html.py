@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from napari_mufasa.provenance import made_by, version
 from napari_mufasa.report.figures import Drawing, diagnosis_drawings
 from napari_mufasa.report.words import (
+    check_lines,
     chosen_candidates,
     detectable_rows,
     effect_title,
@@ -68,6 +69,7 @@ def render(
     )  # fmt: skip
     return pages.get_template("report.html.j2").render(
         title=title, subtitle=subtitle, report=report, line=line, sentence=sentence, effects=effects, extra=extra,
+        check=check_lines(report.check),
         opening=[figures.pop(name) for name in OPENING if name in figures],
         observables_drawing=figures.pop("observables", None),
         observables_head=OBSERVABLES_HEAD,

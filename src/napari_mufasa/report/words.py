@@ -190,6 +190,31 @@ def summary(report: Report) -> list[str]:
         lines += [f"  {candidate.effect}: {told}" for told in parameter_lines(candidate)]
         if candidate.indistinguishable_from:
             lines.append(f"  {candidate.effect}: not told from {', '.join(candidate.indistinguishable_from)}")
+    return lines + [f"  {line}" for line in check_lines(report.check)]
+
+
+def check_lines(check: dict[str, Any]) -> list[str]:
+    """What data of the same set-up that a finding has not seen say of it; nothing where nobody asked."""
+    if not check:
+        return []
+    both, parameters, error = check["both"], check["parameters"], check["error"]
+    named = [*both, *check["only_here"], *check["only_there"]]
+    names = f"{len(both)} of {len(named)} effects are named in both" if named else "nothing is missing in either"
+    lines = [f"Checked on {check['against']}: {names}."]
+    for where, kinds in (("here", check["only_here"]), ("there", check["only_there"])):
+        if kinds:
+            lines.append(f"Only {where}: {', '.join(in_text(kind) for kind in kinds)}.")
+    if parameters:
+        lines.append(f"{sum(row['agree'] for row in parameters)} of {len(parameters)} parameters agree (95 %).")
+    for row in parameters:
+        if not row["agree"]:
+            label, unit = parameter_label(row["effect"], row["parameter"])
+            here, there = (number(row[side], row[f"{side}_sd"]) for side in ("here", "there"))
+            lines.append(f"{effect_title(row['effect'])}, {label}: {here} here, {there} there {unit}".rstrip() + ".")
+    lines.append(
+        f"The model completed here has an error of {_two(error['carried'])} there, the one completed there "
+        f"{_two(error['after'])}, the one believed {_two(error['before'])}; noise alone gives {_two(error['floor'])}."
+    )
     return lines
 
 
