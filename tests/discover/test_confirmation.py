@@ -60,7 +60,7 @@ def test_parameters_that_do_not_agree_are_told(here):
     found = nm.confirm(here, movie, model(), dark, effects=KINDS, seed=3).to_dict("OTHER.tif")
     (row,) = found["parameters"]
     assert not row["agree"] and found["both"] == ["row_noise"]
-    assert any(line.startswith("Row noise, ") and "there" in line for line in check_lines(found))
+    assert any(line.startswith("Row read-out noise, ") and "there" in line for line in check_lines(found))
 
 
 def test_two_halves_of_a_field_say_the_same():

@@ -140,8 +140,8 @@ def test_the_floor_is_what_fresh_simulations_score(bench):
 def test_two_effects_are_taken_up_together_and_neither_bends_the_other(bench):
     truth = HOT(fraction=5e-3, electrons=8.0), ROWS(rms_adu=3.0)
     stand = stand_of(bench, bench.start.with_effects(*truth))
-    leads = stand.promising(set())
-    assert {forms[0].ray.effect.kind for forms in leads[:2]} == {"hot_pixels", "row_noise"}
+    groups = stand.promising(set())
+    assert {cases[0][0].ray.effect.kind for cases in groups[:2]} == {"hot_pixels", "row_noise"}
     state = stand.state
     for start in (HOT(fraction=2e-3, electrons=15.0), ROWS(rms_adu=1.0)):
         state = begun(stand.library, state, [start], stand.x)
@@ -150,6 +150,13 @@ def test_two_effects_are_taken_up_together_and_neither_bends_the_other(bench):
     assert effects["hot_pixels"].fraction == pytest.approx(5e-3, rel=0.15)
     assert effects["row_noise"].rms_adu == pytest.approx(3.0, rel=0.15) and found.misfit < usual_misfit()
     assert all(found.is_worth(worth) and worth.error_without > 2 * found.error for worth in found.worths.values())
+
+
+def test_what_may_stand_in_for_another_is_started_beside_it_and_nothing_else_is(bench):
+    """Column offsets look like row noise, hot pixels like neither."""
+    stand = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0), HOT(fraction=5e-3, electrons=8.0)))
+    groups = [{case[0].ray.effect.kind for case in cases} for cases in stand.promising(set())]
+    assert {"row_noise", "column_offset"} in groups[:2] and {"hot_pixels"} in groups[:2]
 
 
 def test_what_stands_in_for_another_beside_it_is_not_worth_its_place(bench):
@@ -232,9 +239,17 @@ def test_far_from_a_measurement_free_values_go_downhill_as_far_as_simulations_co
     assert found.model.optics.brightness_correction == pytest.approx(light, rel=0.03)
 
 
+class TurningBench(CurvedBench):
+    """From afar the light's derivative points elsewhere than where it leads."""
+
+    def law(self, model):
+        light = np.log(model.optics.brightness_correction / 2.0)
+        return super().law(model) + 15.0 * light**2 * self.two / 6
+
+
 @pytest.mark.parametrize("light", [2.0, 3.6])
 def test_a_neighbourhood_is_left_only_where_a_step_leads_to_the_measurement(light):
-    bench = CurvedBench()
+    bench = TurningBench()
     stand = stand_of(bench, bench.start.with_values({"optics.brightness_correction": light}), kinds=[])
     deeper = joint.deepened(stand.library, stand.x, [], 1000)
     if light == 2.0:

@@ -106,7 +106,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
             leads = leads[: max(max_effects - len(known), 0)]
         if (known or not leads) and inquiry.widen():
             continue
-        apart = [forms for forms in leads if not known or stand.stands_apart(forms[0])]
+        apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
         leads = apart or leads
         dropped: set[str] = set()
         if known and (inquiry.overtake() or (not apart and (inquiry.deepen() or inquiry.exchange(rivals=not leads)))):

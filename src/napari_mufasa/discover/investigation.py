@@ -20,8 +20,8 @@ from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
-from napari_mufasa.discover.rules import FAR, NEAR, RIVAL
-from napari_mufasa.discover.stand import Stand, Worth
+from napari_mufasa.discover.rules import FAR, NEAR, RIVAL, RIVALS
+from napari_mufasa.discover.stand import Case, Stand, Worth
 from napari_mufasa.discover.standing import Standing, share_of
 from napari_mufasa.discover.start import SIMULATIONS, begun, started
 from napari_mufasa.discover.state import Lead, State
@@ -31,7 +31,6 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
 FINALISTS = 5  # leads that are started when a user asks what is missing
-RIVALS = 2  # that are tried in an effect's place
 
 
 class Investigation(Standing):
@@ -115,14 +114,16 @@ class Investigation(Standing):
         self.kinds += [kind for kind in kinds if kind not in self.kinds]
         self._settle(state)
 
-    def take_up(self, leads: Sequence[Sequence[Lead]]) -> set[str]:
-        """Fit promising effects into the model together. Returns the kinds that stay out: what comes to next to none,
-        and where all together explain nothing (the step is taken back) all but the first, or an only one."""
-        stand, kinds = self.stand, [forms[0].ray.effect.kind for forms in leads]
-        self.bench.plan(len(leads) * SIMULATIONS + self._settling(len(leads)))
-        state = stand.state
-        for forms in leads:
-            state = started(stand.library, state, forms, stand.x)
+    def take_up(self, groups: Sequence[Sequence[Case]]) -> set[str]:
+        """Fit promising effects into the model together, of each group the one that explains most once it is started.
+        Returns the kinds that stay out: what comes to next to none, and where all together explain nothing (the step
+        is taken back) all but the first, or an only one."""
+        stand, state = self.stand, self.stand.state
+        self.bench.plan(sum(len(group) for group in groups) * SIMULATIONS + self._settling(len(groups)))
+        for group in groups:
+            tries = [started(stand.library, state, case, stand.x) for case in group if _kind(case) not in _kinds(state)]
+            state = min(tries, key=lambda tried: tried.surprise(stand.x), default=state)
+        kinds = [kind for kind in _kinds(state) if kind not in _kinds(stand.state)]
         if self._settle(state, kinds, stand.misfit):
             if self.stand.misfit < stand.misfit:
                 return set(kinds) - set(self.chosen)
@@ -185,7 +186,7 @@ class Investigation(Standing):
         """Put a rival in the place of an effect where it promises more than that is worth. True if one explains more;
         each is tried once."""
         for kind in self.stand.added if len(self.stand.added) > 1 else ():
-            rivals = {forms[0].ray.effect.kind: forms for forms in self.stand.rivals_of(kind, 1.0)}
+            rivals = {_kind(case): case for case in self.stand.rivals_of(kind, 1.0)}
             new = [rival for rival in rivals if (kind, rival) not in self._compared][:RIVALS]
             self._compared |= {(kind, rival) for rival in new}
             if not new or not self.affords(1):
@@ -209,10 +210,10 @@ class Investigation(Standing):
                 return True
         return False
 
-    def _begun_without(self, kind: str, leads: Sequence[Sequence[Lead]]) -> list[State]:
-        """Each lead started in the place of an effect."""
+    def _begun_without(self, kind: str, cases: Sequence[Case]) -> list[State]:
+        """Each case started in the place of an effect."""
         stand = self.stand
-        return [started(stand.library, stand.without(kind), forms, stand.x) for forms in leads]
+        return [started(stand.library, stand.without(kind), case, stand.x) for case in cases]
 
     def _replaced(self, kind: str, tries: list[State]) -> bool:
         """Settle the best of `tries`, in each of which something else is in the place of an effect; keep it where it
@@ -283,6 +284,14 @@ class Investigation(Standing):
     def _lead(self, kind: str, lead: Lead) -> Candidate:
         p = self.first.null.evidence.p(lead.gain)
         return Candidate(kind, p, max(lead.gain, 0.0), None, None, lead.start().parameters(), {})
+
+
+def _kind(case: Case) -> str:
+    return case[0].ray.effect.kind
+
+
+def _kinds(state: State) -> list[str]:
+    return [effect.kind for effect in state.model.effects]
 
 
 def _each_form(effect: Effect) -> list[Effect]:

@@ -25,7 +25,9 @@ NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 BESIDE = 0.4  # of the best lead's evidence: what promises less and moves the same waits until that one is in the model
 FORM_FIRST = 0.1  # of the misfit explained so far: leads that promise less and move what it moved wait until the forms
 # of what is in the model have been tried, for what they leave is also the error of their form
-RIVAL = 0.5  # of what an effect is worth: what would explain so much of it in its place is tried there
+RIVAL = 0.5  # of what an effect is worth, or promises: what would explain so much of it in its place is tried there
+RIVALS = 2  # … but no more of them
+ALIKE = 0.5  # of what two effects move: so much the same, and one may stand in the place of the other
 SHAPE = 0.03  # of the evidence of all others: an effect that moves what they moved must be worth so much more, for
 # what they leave is also the error of their form
 

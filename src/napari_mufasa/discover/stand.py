@@ -13,11 +13,24 @@ from napari_mufasa.discover import joint
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.null import Null
-from napari_mufasa.discover.rules import ALARM, AT_ONCE, BESIDE, CONTENT, FORM_FIRST, FURTHER, MISFIT_ALARM, SHAPE
+from napari_mufasa.discover.rules import (
+    ALARM,
+    ALIKE,
+    AT_ONCE,
+    BESIDE,
+    CONTENT,
+    FORM_FIRST,
+    FURTHER,
+    MISFIT_ALARM,
+    RIVAL,
+    RIVALS,
+    SHAPE,
+)
 from napari_mufasa.discover.state import Lead, Ray, State
 from napari_mufasa.effects import effect_class
 
 Array = NDArray[np.float64]
+Case = list[Lead]  # one effect's: the leads of its forms, the best first
 SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
 WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
 FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
@@ -89,25 +102,32 @@ class Stand:
         by_effect = any(forms[0].gain > self.needed for forms in self.leads.values())
         return by_effect or self.null.misfit.p(self.misfit) < MISFIT_ALARM
 
-    def promising(self, but: set[str]) -> list[list[Lead]]:
-        """The effects that explain the misfit together, each beside those before it: their forms, the best first. One
-        that moves what those before it move, and promises much less than the best, waits until they are in; one that
-        only describes, until no other promises anything."""
+    def promising(self, but: set[str]) -> list[list[Case]]:
+        """The effects that explain the misfit together, each beside those before it, and with each what promises about
+        as much in its place. One that moves what those before it move, and promises much less than the best, waits
+        until they are in; one that only describes, until no other promises anything."""
         rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in but}
         describing = {kind: rays.pop(kind) for kind in list(rays) if effect_class(kind).describes_only}
         return self._together(rays) or self._together(describing)
 
-    def _together(self, rays: dict[str, list[Ray]]) -> list[list[Lead]]:
-        found: list[list[Lead]] = []
+    def _together(self, rays: dict[str, list[Ray]]) -> list[list[Case]]:
+        found: list[list[Case]] = []
         while rays and len(found) < AT_ONCE:
-            leads = self.state.screen(self.x, rays, [forms[0] for forms in found])
-            least = {kind: self._least(forms[0], [f[0] for f in found]) for kind, forms in leads.items()}
+            taken = [cases[0][0] for cases in found]
+            leads = self.state.screen(self.x, rays, taken)
+            least = {kind: self._least(forms[0], taken) for kind, forms in leads.items()}
             if not (clear := [k for k, forms in leads.items() if forms[0].gain > least[k]]):
                 break
-            kind = max(clear, key=lambda k: leads[k][0].gain)
-            found.append(leads[kind])
-            del rays[kind]
+            first, *others = sorted(clear, key=lambda k: -leads[k][0].gain)
+            best = leads[first][0]
+            alike = [k for k in others if leads[k][0].gain > RIVAL * best.gain and self._alike(leads[k][0], best)]
+            found.append([leads[kind] for kind in (first, *alike[:RIVALS])])
+            del rays[first]
         return found
+
+    def _alike(self, lead: Lead, other: Lead) -> bool:
+        """Do two leads move the same things as far?"""
+        return _shared(lead.shift, other.shift, self.state.spread) > ALIKE
 
     def _least(self, lead: Lead, taken: Sequence[Lead]) -> float:
         """What a lead must promise beside those that are taken up already."""
@@ -145,8 +165,8 @@ class Stand:
         explained, left = self.first.misfit(self.x) - self.misfit, self.misfit - float(self.null.misfit.law.median())
         return lead.gain > FORM_FIRST * max(shared * explained, left)
 
-    def rivals_of(self, kind: str, share: float) -> list[list[Lead]]:
-        """What promises more than a share of what an added effect is worth, in its place: forms of each, best first."""
+    def rivals_of(self, kind: str, share: float) -> list[Case]:
+        """What promises more than a share of what an added effect is worth, in its place; best first."""
         worth = self.worths[kind]
         laws = {k: rays for k, rays in self.library.rays.items() if not effect_class(k).describes_only}
         leads = self.without(kind).screen(self.x, laws).values()
