@@ -20,7 +20,7 @@ from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
-from napari_mufasa.discover.rules import FAR, NEAR, RIVAL, RIVALS
+from napari_mufasa.discover.rules import FAR, FAR_LESS, NEAR, RIVAL, RIVALS
 from napari_mufasa.discover.stand import Case, Stand, Worth
 from napari_mufasa.discover.standing import Standing, share_of
 from napari_mufasa.discover.start import SIMULATIONS, begun, started
@@ -143,12 +143,13 @@ class Investigation(Standing):
         self.undo()
         return False
 
-    def remove(self, kind: str) -> None:
-        """Take one effect out; the others are fitted anew."""
-        if kind not in self.stand.added:
-            raise MufasaError(f"{kind} was not added: {', '.join(self.stand.added) or 'nothing'} can be taken out")
+    def remove(self, *kinds: str) -> None:
+        """Take effects out; the others are fitted anew."""
+        for kind in kinds:
+            if kind not in self.stand.added:
+                raise MufasaError(f"{kind} was not added: {', '.join(self.stand.added) or 'nothing'} can be taken out")
         self.bench.plan(joint.REMOVALS + self._settling(0))
-        self._settle(joint.removed(self.stand.library, kind))
+        self._settle(joint.removed(self.stand.library, *kinds))
 
     def undo(self) -> None:
         """Take the last step back."""
@@ -157,9 +158,10 @@ class Investigation(Standing):
         self.stands.pop()
 
     def prune(self) -> set[str]:
-        """Take out, one by one, what does not earn its place; what only a whole fit without it can tell is told by
-        one. Returns the kinds taken out."""
+        """Take out what does not earn its place: at once what is worth far less than it needs, then one by one; what
+        only a whole fit without them can tell is told by one. Returns the kinds taken out."""
         dropped: set[str] = set()
+        at_once = True
         while self.chosen:
             stand = self.stand
             doubtful = {
@@ -167,19 +169,23 @@ class Investigation(Standing):
             }
             if not doubtful or not (len(stand.added) == 1 or self.affords(0)):
                 break
-            kind = min(doubtful, key=lambda k: doubtful[k].evidence)
             if len(stand.added) == 1:
                 self.stands = self.stands[:1]
-                return dropped | {kind}
-            self.remove(kind)
+                return dropped | set(doubtful)
+            order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
+            far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
+            kinds = far_less if at_once and 0 < len(far_less) < len(stand.added) else order[:1]
+            self.remove(*kinds)
             lesser = self.stands.pop()
             evidence = max(lesser.state.score(stand.x) - stand.state.score(stand.x), 0.0)
-            worth = Worth(evidence, lesser.error, doubtful[kind].needed)
-            if stand.is_worth(worth):
-                self.stands[-1] = stand.confirming(kind, worth)
-            else:
+            worth = Worth(evidence, lesser.error, sum(doubtful[k].needed for k in kinds))
+            if not stand.is_worth(worth):
                 self.stands[-1] = lesser
-                dropped.add(kind)
+                dropped |= set(kinds)
+            elif len(kinds) == 1:
+                self.stands[-1] = stand.confirming(kinds[0], worth)
+            else:  # they stand in for one another
+                at_once = False
         return dropped
 
     def overtake(self) -> bool:

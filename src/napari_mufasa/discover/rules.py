@@ -28,8 +28,9 @@ FORM_FIRST = 0.1  # of the misfit explained so far: leads that promise less and 
 RIVAL = 0.5  # of what an effect is worth, or promises: what would explain so much of it in its place is tried there
 RIVALS = 2  # … but no more of them
 ALIKE = 0.5  # of what two effects move: so much the same, and one may stand in the place of the other
-SHAPE = 0.03  # of the evidence of all others: an effect that moves what they moved must be worth so much more, for
+SHAPE = 0.015  # of the evidence of all others: an effect that moves what they moved must be worth so much more, for
 # what they leave is also the error of their form
+FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less are taken out together
 
 # The budget of simulations ----------------------------------------------------------------------------------
 BUDGET = 4_000  # simulations of a movie of ordinary size …
