@@ -231,7 +231,7 @@ def test_workflow_shares_its_values_between_steps(with_movie, qtbot):
         assert widget.step(name).isVisibleTo(widget)
     camera = widget.step("Camera").editor.form["read_noise_e"]
     type_into(camera, "33")
-    assert widget.step("Model").parts["camera"].form.read("read_noise_e") == 33
+    assert widget.step("Model").parts["camera"].form["read_noise_e"].value == 33
     assert widget.step("Denoise").session.model.camera.read_noise_e == 33
 
 
@@ -276,7 +276,7 @@ def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, br
     run(panel)
     wanted = calibrate(bright_movie.movie, baseline_adu=367.0, read_noise_adu=82.0).camera
     assert session_of(with_movie).model.camera == wanted
-    assert panel.editor.form.read("electrons_per_adu") == wanted.electrons_per_adu
+    assert panel.editor.form["electrons_per_adu"].value == wanted.electrons_per_adu
     assert "367" in panel.result.text() and "(measured)" in session_of(with_movie).model_origin
 
 

@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QFileDialog, QPushButton, QVBoxLayout, QWidget
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import Measurement, measurement_of
 from napari_mufasa.widgets.parts.doubts import Doubts
+from napari_mufasa.widgets.parts.forms import shared
 from napari_mufasa.widgets.parts.pieces import Words, button, shortcut
 from napari_mufasa.widgets.turns.jobs import RunBar, report_error
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
@@ -46,7 +47,7 @@ class Panel(QWidget):
         shortcut(self, "Ctrl+Return", self.run_bar.run_button.click)
         shortcut(self, "Escape", self.run_bar.cancel)
         factory = type(self).form_factory
-        self.form: Any = factory(self.viewer, call_button=False) if factory is not None else None
+        self.form: Any = shared(factory(call_button=False), self.viewer) if factory is not None else None
         for name in self.hidden:
             if self.form is not None and name in self.form.asdict():
                 self.form[name].visible = False

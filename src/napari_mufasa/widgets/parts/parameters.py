@@ -34,4 +34,3 @@ DarkFrames: TypeAlias = Annotated[int, _DARK_FRAMES]
 Molecules: TypeAlias = Annotated[Points | None, {"widget_type": LayerEdit, "kind": "points", "label": "Molecules at"}]
 Believed: TypeAlias = Annotated[Model | None, _MODEL]
 Seed: TypeAlias = Annotated[int, _SEED]
-SEED = {"seed": "steps.seed"}  # what it begins with

@@ -1,8 +1,9 @@
 """Calibrate (step Camera): the camera of every later step, typed in or measured on the movie."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
+
+from magicgui import magic_factory
+from pydantic import NonNegativeFloat, confloat
 
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.measure import CameraType
@@ -10,8 +11,8 @@ from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.propose import Proposal
 from napari_mufasa.report.lines import calibration_line, fit_line, proposal_lines
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.widgets.parts.edits import NumberEdit
-from napari_mufasa.widgets.parts.forms import PartEditor, widget_of
+from napari_mufasa.widgets.parts.edits import TypedEdit
+from napari_mufasa.widgets.parts.forms import PartEditor, begin
 from napari_mufasa.widgets.parts.model_edit import ModelEdit
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
@@ -22,7 +23,7 @@ from napari_mufasa.widgets.turns.session import Session
 from napari_mufasa.widgets.turns.steering import steering
 
 TIMING = ("frame_length_s", "frame_interval_s", "pixel_size_nm")
-NUMBER: dict[str, Any] = {"widget_type": NumberEdit, "min": 0}
+NUMBER: dict[str, Any] = {"widget_type": TypedEdit, "of": NonNegativeFloat}
 
 
 def calibrate(
@@ -30,11 +31,13 @@ def calibrate(
     dark: Dark = None,
     dark_frames: DarkFrames = 0,
     camera_type: Annotated[CameraType, {"label": "Type"}] = "EMCCD",
-    em_gain: Annotated[float | None, NUMBER | {"label": "EM gain", "min": 1, "empty": "300 for an EMCCD"}] = None,
+    em_gain: Annotated[
+        float | None, NUMBER | {"label": "EM gain", "of": confloat(ge=1), "empty": "300 for an EMCCD"}
+    ] = None,
     electrons_per_adu: Annotated[
         float | None, NUMBER | {"label": "Electrons per count", "empty": "from the EM gain"}
     ] = None,
-    quantum_efficiency: Annotated[float, NUMBER | {"label": "Quantum efficiency", "max": 1}] = 0.9,
+    quantum_efficiency: Annotated[float, NUMBER | {"label": "Quantum efficiency", "of": confloat(ge=0, le=1)}] = 0.9,
     baseline_adu: Annotated[float | None, NUMBER | {"label": "Baseline (ADU)", "empty": "measured"}] = None,
     read_noise_adu: Annotated[float | None, NUMBER | {"label": "Read noise (ADU)", "empty": "measured"}] = None,
 ) -> Calibration:
@@ -62,12 +65,12 @@ def calibrate(
     )  # fmt: skip
 
 
-calibrate_widget = widget_of(calibrate, "Measure")
+calibrate_widget = magic_factory(calibrate, call_button="Measure", widget_init=begin)
 
 
 def believe(session: Session, found: Calibration) -> str:
     """What was measured is the camera from now on; says what it is."""
-    session.set_camera(found.camera, session.model_origin.removesuffix(" (measured)") + " (measured)")
+    session.change_model(session.model.model_copy(update={"camera": found.camera}), "measured")
     return calibration_line(found)
 
 

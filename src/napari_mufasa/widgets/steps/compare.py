@@ -1,9 +1,8 @@
 """Compare: how far the model's emission is from the measured one, beside its floor and two simpler models."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Annotated, Any
 
+from magicgui import magic_factory
 from magicgui.widgets import ComboBox
 from napari.layers import Layer
 from qtpy.QtWidgets import QWidget
@@ -12,10 +11,10 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.lines import comparison_table
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.widgets.parts.forms import dress_one, widget_of
+from napari_mufasa.widgets.parts.forms import begin, dress_one
 from napari_mufasa.widgets.parts.layers import ours
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
+from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie, Seed
 from napari_mufasa.widgets.parts.pieces import Tabs, Words, button, column
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.traces import molecules_on
@@ -61,7 +60,7 @@ def compare(
     return [molecules_on(movie, found.measured, comparison=found)]
 
 
-compare_widget = widget_of(compare, "Compare", SEED | {"fit": "steps.fit_before_comparing"})
+compare_widget = magic_factory(compare, call_button="Compare", widget_init=begin)
 
 
 class ComparePanel(Panel):

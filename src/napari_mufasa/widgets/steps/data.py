@@ -1,10 +1,9 @@
 """The Data step: which layer is the movie, where the dark frames are, what is known about them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator
 from typing import Any
 
+from magicgui import magic_factory
 from magicgui.widgets import ComboBox
 from napari.layers import Layer
 from qtpy.QtWidgets import QFileDialog
@@ -25,7 +24,7 @@ from napari_mufasa.files.layers import (
 from napari_mufasa.propose.written import as_written, values_written
 from napari_mufasa.report.lines import instrument_line, movie_facts
 from napari_mufasa.samples import SAMPLES
-from napari_mufasa.widgets.parts.forms import dress_one, widget_of
+from napari_mufasa.widgets.parts.forms import begin, dress_one
 from napari_mufasa.widgets.parts.layers import added_hidden
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
@@ -43,7 +42,7 @@ class DataPanel(Panel):
 
     words = "Open a movie, say which layer it is and where its dark frames are."
     run_label = "Open movie …"
-    form_factory = widget_of(measurement, False)
+    form_factory = magic_factory(measurement, call_button=False, widget_init=begin)
     hidden = ()
 
     def build(self) -> None:

@@ -1,12 +1,11 @@
 """Design: what a model predicts before any movie is taken."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Annotated, Any
 
 import pandas as pd
-from magicgui import magicgui
+from magicgui import magic_factory, magicgui
+from pydantic import NonNegativeFloat
 from qtpy.QtWidgets import QComboBox, QWidget
 
 from napari_mufasa.design import design as predicted
@@ -16,8 +15,8 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.report.fields import number_text, told
 from napari_mufasa.report.lines import solution_lines
 from napari_mufasa.report.plots import predictions
-from napari_mufasa.widgets.parts.edits import ListEdit, NumberEdit
-from napari_mufasa.widgets.parts.forms import DerivedValues, widget_of
+from napari_mufasa.widgets.parts.edits import TypedEdit
+from napari_mufasa.widgets.parts.forms import DerivedValues, begin
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import AnyMovie, Believed
 from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, button, column, row, section
@@ -28,16 +27,17 @@ NUMBERS = [(told(path.split(".")[1]), path) for path in numbers()]
 TARGETS = [(told(name), name) for name in QUANTITIES]
 NOTHING = [("nothing else", "")]
 TARGET: dict[str, Any] = {"widget_type": "ComboBox", "label": "Wanted"}
-VALUE: dict[str, Any] = {"widget_type": NumberEdit, "min": 0, "label": "is"}
+VALUES: dict[str, Any] = {"widget_type": TypedEdit, "of": tuple[float, ...]}
+VALUE: dict[str, Any] = {"widget_type": TypedEdit, "of": NonNegativeFloat, "label": "is"}
 
 
 def design(
     movie: AnyMovie = None,
     model: Believed = None,
     vary: Annotated[str, {"widget_type": "ComboBox", "label": "Vary", "choices": NUMBERS}] = POWER,
-    values: Annotated[tuple[float, ...], {"widget_type": ListEdit, "label": "Values"}] = (1.0, 10.0, 100.0),
+    values: Annotated[tuple[float, ...], VALUES | {"label": "Values"}] = (1.0, 10.0, 100.0),
     vary_also: Annotated[str, {"widget_type": "ComboBox", "label": "Vary also", "choices": NOTHING + NUMBERS}] = "",
-    also_values: Annotated[tuple[float, ...], {"widget_type": ListEdit, "label": "Its values"}] = (),
+    also_values: Annotated[tuple[float, ...], VALUES | {"label": "Its values"}] = (),
 ) -> pd.DataFrame:
     """Predict signal, noise, precision and life time for some values of one parameter of a model, or of two.
 
@@ -60,7 +60,7 @@ def design(
     return predicted(believed(model, movie), asked)
 
 
-design_widget = widget_of(design, "Predict")
+design_widget = magic_factory(design, call_button="Predict", widget_init=begin)
 
 
 def targets(
@@ -114,7 +114,7 @@ class DesignPanel(Panel):
     def solve(self) -> None:
         """Set the varied value of the model so that the first target is met, and say where all are."""
         found = solve(self.session.model, self.targets(), self.form.vary.value)
-        self.session.set_model(found.model, self.session.model_origin.removesuffix(" (solved)") + " (solved)")
+        self.session.change_model(found.model, "solved")
         self.solution.say("<br>".join(solution_lines(found)))
 
     def take(self, found: pd.DataFrame) -> None:

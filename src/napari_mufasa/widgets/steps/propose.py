@@ -1,10 +1,10 @@
 """Propose: a first model from the movie itself, in step Camera."""
 
-from __future__ import annotations
+from magicgui import magic_factory
 
 from napari_mufasa.files.layers import instrument_of, measurement_of, pixel_size_um
 from napari_mufasa.propose import Proposal
-from napari_mufasa.widgets.parts.forms import widget_of
+from napari_mufasa.widgets.parts.forms import begin
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
 from napari_mufasa.widgets.turns.steering import steering
 
@@ -39,4 +39,4 @@ def propose(
     )  # fmt: skip
 
 
-propose_widget = widget_of(propose, "Propose")
+propose_widget = magic_factory(propose, call_button="Propose", widget_init=begin)

@@ -1,21 +1,21 @@
 """Extract traces (step Molecules): molecules as points, the trace of the one you click."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Generator
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from magicgui import magic_factory
 from napari.layers import Layer, Points, Tracks
+from pydantic import PositiveInt
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of, stored
 from napari_mufasa.report.lines import molecule_line, moving_line
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.spots.aperture import Profile
-from napari_mufasa.widgets.parts.edits import NumberEdit
-from napari_mufasa.widgets.parts.forms import widget_of
+from napari_mufasa.widgets.parts.edits import TypedEdit
+from napari_mufasa.widgets.parts.forms import begin
 from napari_mufasa.widgets.parts.layers import added, ours, points_on, space_of
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie
@@ -36,7 +36,7 @@ COLUMNS = (
     "molecule", "brightness", "snr", "bleaching_frame", "n_steps", "n_blinks", "kept", "reason", "found_frames",
     "diffusion_px2_per_frame", "drift_y_px_per_frame", "drift_x_px_per_frame",
 )  # fmt: skip
-COUNT: dict[str, Any] = {"widget_type": NumberEdit, "whole": True, "min": 1}
+COUNT: dict[str, Any] = {"widget_type": TypedEdit, "of": PositiveInt}
 
 
 def traces(
@@ -81,10 +81,10 @@ def traces(
     ]  # fmt: skip
 
 
-traces_widget = widget_of(traces, "Extract traces", {"threshold_sigma": "steps.threshold_sigma"})
+traces_widget = magic_factory(traces, call_button="Extract traces", widget_init=begin)
 
 
-def molecules_on(movie: Any, found: TraceSet, **more: Any) -> Points:
+def molecules_on(movie: Any, found: "TraceSet", **more: Any) -> Points:
     """Rings at all candidates, green where they are kept."""
     table = found.molecules
     features = table[[name for name in COLUMNS if name in table]].copy()
@@ -97,7 +97,7 @@ def molecules_on(movie: Any, found: TraceSet, **more: Any) -> Points:
     )  # fmt: skip
 
 
-def paths_on(movie: Any, found: TraceSet, first_frame: int = 0) -> Tracks:
+def paths_on(movie: Any, found: "TraceSet", first_frame: int = 0) -> Tracks:
     """Where the kept molecules were followed to; `first_frame` of the movie is the first that was read."""
     table, paths = found.molecules, found.path_px
     assert paths is not None  # they were followed
@@ -135,7 +135,7 @@ class MoleculesPanel(Panel):
         self.add(self.toggle_button, self.save_button)
 
     @property
-    def traces(self) -> TraceSet | None:
+    def traces(self) -> "TraceSet | None":
         """Those of the layer looked at."""
         found: TraceSet | None = stored(self.points, "traces")
         return found
@@ -219,5 +219,5 @@ class MoleculesPanel(Panel):
         return f"traces.csv and molecules.csv in {folder}"
 
 
-def _colours(table: pd.DataFrame) -> list[str]:
+def _colours(table: "pd.DataFrame") -> list[str]:
     return [KEPT if kept else REJECTED for kept in table["kept"]]

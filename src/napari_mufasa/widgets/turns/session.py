@@ -17,7 +17,6 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import Measurement, measurement_of, stored
 from napari_mufasa.model.model import Model
 from napari_mufasa.model.presets import preset
-from napari_mufasa.model.setup import Camera
 
 if TYPE_CHECKING:
     from napari_mufasa.traces import TraceSet
@@ -74,8 +73,9 @@ class Session(QObject):
         self._model = model
         self.model_changed.emit()
 
-    def set_camera(self, camera: Camera, origin: str | None = None) -> None:
-        self.set_model(self.model.model_copy(update={"camera": camera}), origin)
+    def change_model(self, model: Model, how: str) -> None:
+        """Believe a model that was made of the present one; its origin says once how."""
+        self.set_model(model, f"{self.model_origin.removesuffix(f' ({how})')} ({how})")
 
     def forget_model(self) -> None:
         """As if none had been chosen."""
