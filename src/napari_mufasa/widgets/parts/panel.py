@@ -11,7 +11,6 @@ from qtpy.QtWidgets import QFileDialog, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import Measurement, measurement_of
-from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.parts.forms import shared
 from napari_mufasa.widgets.parts.pieces import Words, button, shortcut
 from napari_mufasa.widgets.turns.jobs import RunBar, report_error
@@ -34,7 +33,6 @@ class Panel(QWidget):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__()
-        self._doubts: Doubts | None = None
         self.viewer = unwrapped(viewer)
         self.session = session_of(self.viewer)
         self.column = QVBoxLayout(self)
@@ -63,16 +61,6 @@ class Panel(QWidget):
             self.column.addWidget(widget)
         if last is not None:
             self.column.addWidget(last, 1)
-
-    def doubting(self) -> Doubts:
-        """A line that warns where movie and model cannot belong together; only for panels that show it."""
-        self._doubts = Doubts(self.session, self)
-        return self._doubts
-
-    def showEvent(self, event: Any) -> None:
-        super().showEvent(event)
-        if self._doubts is not None:
-            self._doubts.look_if_stale()
 
     def prepare(self) -> None:
         """Check the settings and start the work; the step's function on the form's values, unless it is overridden."""

@@ -16,7 +16,7 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QToolButton, QWidge
 
 from napari_mufasa.report.offscreen import Draw, rgba, with_figure
 from napari_mufasa.widgets.parts.pieces import column, row
-from napari_mufasa.widgets.turns.jobs import Latest
+from napari_mufasa.widgets.turns.jobs import WhenSeen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +37,6 @@ class PlotCanvas(QWidget):
         super().__init__()
         self._viewer = viewer
         self._draw: Draw | None = None
-        self._stale = False
         self.data: pd.DataFrame | None = None
         self.title = QLabel()
         self.title.setWordWrap(True)
@@ -56,7 +55,7 @@ class PlotCanvas(QWidget):
         self.setMinimumHeight(height)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.save_button.hide()
-        self._latest = Latest(60, self)
+        self._latest = WhenSeen(60, self, self._rendering, self)
         self._latest.arrived.connect(self._on_drawn)
         viewer.events.theme.connect(self._on_theme)
 
@@ -65,12 +64,7 @@ class PlotCanvas(QWidget):
 
     def resizeEvent(self, event: Any) -> None:
         super().resizeEvent(event)
-        self._paint()
-
-    def showEvent(self, event: Any) -> None:
-        super().showEvent(event)
-        if self._stale:
-            self._paint()
+        self._latest.renew()
 
     @property
     def drawn(self) -> bool:
@@ -87,7 +81,7 @@ class PlotCanvas(QWidget):
         self._draw, self.data = function, data
         self.title.setText(title)
         self.save_button.show()
-        self._paint()
+        self._latest.renew()
 
     def clear(self, hint: str) -> None:
         """Show a hint instead of a plot."""
@@ -107,14 +101,11 @@ class PlotCanvas(QWidget):
             width, height, _ = self._size()
             with_figure(self._draw, (width, height), DPI, *self._theme(), then=lambda f: f.savefig(path, dpi=2 * DPI))
 
-    def _paint(self) -> None:
+    def _rendering(self) -> Any:
         if self._draw is None:
-            return
-        self._stale = not self.isVisible()
-        if self._stale:
-            return
+            return None
         function, size, theme = self._draw, self._size(), self._theme()
-        self._latest.request(lambda _cancel: _render(function, size, theme))
+        return lambda _cancel: _render(function, size, theme)
 
     def _size(self) -> tuple[int, int, float]:
         """Width and height in pixels of the screen, and how many of them are one of Qt's."""
@@ -139,7 +130,7 @@ class PlotCanvas(QWidget):
 
     def _on_theme(self, _event: Any = None) -> None:
         try:
-            self._paint()
+            self._latest.renew()
         except RuntimeError:  # the panel is gone, the viewer is not
             self._draw = None
 

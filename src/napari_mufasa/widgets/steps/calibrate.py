@@ -11,6 +11,7 @@ from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.propose import Proposal
 from napari_mufasa.report.lines import calibration_line, fit_line, proposal_lines
 from napari_mufasa.report.offscreen import drawing
+from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.forms import PartEditor, begin
 from napari_mufasa.widgets.parts.model_edit import ModelEdit
@@ -91,7 +92,7 @@ class CameraPanel(Panel):
             "Propose a model from this movie", lambda: self.guarded(self.propose),
             "Metadata, camera, PSF width, background, molecules and their light: a model to start from",
         )  # fmt: skip
-        self.add(self.source.native, self.doubting(), self.propose_button, self.editor)
+        self.add(self.source.native, Doubts(self.session, self), self.propose_button, self.editor)
         self.add(section("Timing and pixels", timing))
         self.add(Words("<b>Measure it</b> where its values are not known: steady light, dark frames"))
         self.add(self.form.native, self.run_bar, self.result, self.picture)

@@ -11,6 +11,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.lines import comparison_table
 from napari_mufasa.report.offscreen import drawing
+from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.parts.forms import begin, dress_one
 from napari_mufasa.widgets.parts.layers import ours
 from napari_mufasa.widgets.parts.panel import Panel
@@ -90,7 +91,9 @@ class ComparePanel(Panel):
         )  # fmt: skip
         self.use_button.hide()
         self.export_button = self.saver("Export report …", "Export comparison", self.export, "report.json")
-        self.add(self.form.native, self.doubting(), self.run_bar, self.result, self.live_line, last=self.tabs)
+        self.add(
+            self.form.native, Doubts(self.session, self), self.run_bar, self.result, self.live_line, last=self.tabs
+        )
         self.add(self.use_button, self.export_button)
         live_of(self.session).changed.connect(self._show_live)
 

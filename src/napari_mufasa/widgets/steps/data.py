@@ -24,6 +24,7 @@ from napari_mufasa.files.layers import (
 from napari_mufasa.propose.written import as_written, values_written
 from napari_mufasa.report.lines import instrument_line, movie_facts
 from napari_mufasa.samples import SAMPLES
+from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.parts.forms import begin, dress_one
 from napari_mufasa.widgets.parts.layers import added_hidden
 from napari_mufasa.widgets.parts.panel import Panel
@@ -59,7 +60,15 @@ class DataPanel(Panel):
             "Take pixel size, exposure and EM gain from the metadata into the model; each can be changed there",
         )  # fmt: skip
         samples = row(self.sample.native, self.sample_button)
-        self.add(self.run_bar, samples, self.form.native, self.facts, self.doubting(), self.use_model, self.use_scale)
+        self.add(
+            self.run_bar,
+            samples,
+            self.form.native,
+            self.facts,
+            Doubts(self.session, self),
+            self.use_model,
+            self.use_scale,
+        )
         self.add(self.use_instrument)
         self.column.addStretch(1)
         self.session.movie_changed.connect(self.refresh)

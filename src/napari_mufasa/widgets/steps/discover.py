@@ -13,6 +13,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.report.words import detectable_rows, headline, in_text
+from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.effects import Suspects
 from napari_mufasa.widgets.parts.findings import WhatPage, WherePage
@@ -116,7 +117,7 @@ class DiscoverPanel(Panel):
         caption = "Folder for report.json and model.json"
         self.export_button = self.saver("Export report and model …", caption, self.export)
         suspects = section("Suspects", self.suspects)
-        self.add(self.form.native, self.doubting(), suspects, self.run_bar, self.verdict, last=self.tabs)
+        self.add(self.form.native, Doubts(self.session, self), suspects, self.run_bar, self.verdict, last=self.tabs)
         self.add(self.export_button)
         self.run_bar.finished.connect(self._enable)
 

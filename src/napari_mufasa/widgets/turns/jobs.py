@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from qtpy.QtCore import QObject, Qt, Signal  # type: ignore[attr-defined]
+from qtpy.QtCore import QEvent, QObject, Qt, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QProgressBar, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
@@ -246,6 +246,35 @@ class Latest(QObject):
             self.arrived.emit(outcome)
         elif self._work is not None and not self._timer.isActive():
             self._begin()
+
+
+class WhenSeen(Latest):
+    """``renew()`` requests the work that ``ask()`` gives, if it gives any; not before one of its lookers is seen."""
+
+    def __init__(self, wait_ms: int, parent: QObject, ask: Callable[[], Asked | None], *lookers: QWidget) -> None:
+        super().__init__(wait_ms, parent)
+        self._ask, self._stale = ask, True
+        self._lookers: list[QWidget] = []
+        for looker in lookers:
+            self.watch(looker)
+
+    def watch(self, looker: QWidget) -> None:
+        """Work for this widget, too."""
+        self._lookers.append(looker)
+        looker.installEventFilter(self)
+        looker.destroyed.connect(lambda: self._lookers.remove(looker))
+
+    def renew(self) -> None:
+        self._stale = True
+        work = self._ask() if any(looker.isVisible() for looker in self._lookers) else None
+        if work is not None:
+            self._stale = False
+            self.request(work)
+
+    def eventFilter(self, _looker: Any, event: Any) -> bool:
+        if self._stale and event.type() == QEvent.Type.Show:
+            self.renew()
+        return False
 
 
 def report_error(error: BaseException) -> str:
