@@ -112,7 +112,7 @@ def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_pat
 
 
 def step(workflow, name):
-    workflow.buttons.button(STEPS.index(name)).click()
+    workflow.tabs.setCurrentIndex(STEPS.index(name))
     assert workflow.step(name).isVisibleTo(workflow)
 
 

@@ -36,7 +36,7 @@ def begin(form: FunctionGui[..., Any]) -> None:
     for name in PREFERRED.keys() & form.asdict():
         form[name].value = preference(PREFERRED[name], form[name].value)
     dress(form)
-    whose = create_widget(annotation=Viewer, gui_only=True)  # napari binds it to the viewer that it is put into
+    whose: Any = create_widget(annotation=Viewer, gui_only=True)  # napari binds it to the viewer that it is put into
     form.append(whose)
     form.native_parent_changed.connect(lambda parent: shared(form, whose.value) if parent and whose.value else None)
 

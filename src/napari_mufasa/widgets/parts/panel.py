@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 from magicgui.widgets import FunctionGui
 from napari.viewer import Viewer
 from qtpy.QtWidgets import QFileDialog, QPushButton, QVBoxLayout, QWidget
 
-from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.layers import Measurement, measurement_of
 from napari_mufasa.widgets.parts.forms import shared
 from napari_mufasa.widgets.parts.pieces import Words, button, shortcut
-from napari_mufasa.widgets.turns.jobs import RunBar, report_error
+from napari_mufasa.widgets.turns.jobs import RunBar, errors_reported
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
 from napari_mufasa.widgets.turns.steering import steered
 
@@ -65,7 +64,7 @@ class Panel(QWidget):
     def prepare(self) -> None:
         """Check the settings and start the work; the step's function on the form's values, unless it is overridden."""
         if self.needs_counts:
-            self.measurement().recorded()
+            self.session.measurement().recorded()
         self.call(self.running, self.take)
 
     def take(self, result: Any) -> Any:
@@ -87,17 +86,12 @@ class Panel(QWidget):
 
     def guarded(self, action: Callable[[], Any]) -> None:
         """Do something at once; a `MufasaError` becomes a notification and a line in the panel."""
-        try:
+        with errors_reported(partial(self.run_bar.say, error=True)):
             action()
-        except MufasaError as error:
-            self.run_bar.say(report_error(error), error=True)
-
-    def measurement(self) -> Measurement:
-        """Movie and dark frames of the form; raises `MufasaError` that says what to choose."""
-        return measurement_of(*(self.form.asdict().get(name) for name in ("movie", "dark", "dark_frames")))
 
     def saver(self, text: str, caption: str, save: Callable[[str], str], name: str = "") -> QPushButton:
-        """A button that asks for a file to write, as `name`, or else a folder; ``save(path)`` says what it wrote."""
+        """A button, for when there are results, that asks for a file to write, as `name`, or else a folder;
+        ``save(path)`` says what it wrote."""
 
         def ask() -> None:
             ask_for_file, ask_for_folder = QFileDialog.getSaveFileName, QFileDialog.getExistingDirectory

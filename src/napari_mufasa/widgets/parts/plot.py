@@ -15,7 +15,7 @@ from qtpy.QtGui import QImage, QPixmap
 from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QToolButton, QWidget
 
 from napari_mufasa.report.offscreen import Draw, rgba, with_figure
-from napari_mufasa.widgets.parts.pieces import column, row
+from napari_mufasa.widgets.parts.pieces import Words, column, made, row
 from napari_mufasa.widgets.turns.jobs import WhenSeen
 
 if TYPE_CHECKING:
@@ -38,23 +38,18 @@ class PlotCanvas(QWidget):
         self._viewer = viewer
         self._draw: Draw | None = None
         self.data: pd.DataFrame | None = None
-        self.title = QLabel()
-        self.title.setWordWrap(True)
-        self.save_button = QToolButton()
-        self.save_button.setText("Save …")
-        self.save_button.setToolTip("Save the plot (PNG, SVG, PDF) or its data (CSV)")
-        self.save_button.clicked.connect(self._ask_and_save)
-        self.picture = QLabel(hint)  # or the hint, while there is none
-        self.picture.setWordWrap(True)
-        self.picture.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.picture.setScaledContents(True)
+        self.title = Words()
+        tip = "Save the plot (PNG, SVG, PDF) or its data (CSV)"
+        self.save_button = made(QToolButton, text="Save …", toolTip=tip, clicked=self._ask_and_save, visible=False)
+        self.picture = made(  # or the hint, while there is none
+            QLabel, hint, wordWrap=True, scaledContents=True, minimumHeight=height - 50,
+            alignment=Qt.AlignmentFlag.AlignCenter,
+        )  # fmt: skip
         self.picture.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
-        self.picture.setMinimumHeight(height - 50)
         column(self, row(self.title, self.save_button, shares=(1,)), self.picture, shares=(0, 1)).setSpacing(2)
         # Stacked docks would squash a plot to a sliver.
         self.setMinimumHeight(height)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.save_button.hide()
         self._latest = WhenSeen(60, self, self._rendering, self)
         self._latest.arrived.connect(self._on_drawn)
         viewer.events.theme.connect(self._on_theme)
@@ -79,7 +74,7 @@ class PlotCanvas(QWidget):
         if self._draw is None:
             self.picture.clear()
         self._draw, self.data = function, data
-        self.title.setText(title)
+        self.title.say(title)
         self.save_button.show()
         self._latest.renew()
 
@@ -87,7 +82,7 @@ class PlotCanvas(QWidget):
         """Show a hint instead of a plot."""
         self._draw, self.data = None, None
         self._latest.drop()
-        self.title.clear()
+        self.title.say("")
         self.picture.setText(hint)
         self.save_button.hide()
 

@@ -106,7 +106,7 @@ class CameraPanel(Panel):
 
     def propose(self) -> None:
         """Propose a whole model from the movie, with what is given of its camera."""
-        self.measurement().recorded()
+        self.session.measurement().recorded()
         asked = self.form.asdict()
         names = ("movie", "dark", "dark_frames", "em_gain", "electrons_per_adu", "quantum_efficiency")
         given = {name: asked[name] for name in names}

@@ -7,7 +7,6 @@ from magicgui.widgets import ComboBox
 from napari.layers import Layer
 from qtpy.QtWidgets import QWidget
 
-from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.lines import comparison_table
 from napari_mufasa.report.offscreen import drawing
@@ -142,8 +141,7 @@ class ComparePanel(Panel):
         """Write report.json (docs/files.md)."""
         from napari_mufasa.files.whole import write_json
 
-        if self.comparison is None:
-            raise MufasaError("nothing was compared yet: press Compare first")
+        assert self.comparison is not None
         write_json(path, self.comparison.report())
         return path
 

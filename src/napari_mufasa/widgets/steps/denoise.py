@@ -116,7 +116,7 @@ class DenoisePanel(Panel):
     def _on_preset(self) -> None:
         name: Any = self.preset.value
         if name == MEASURED:
-            self.measurement().recorded()
+            self.session.measurement().recorded()
             chosen = {key: self.form[key].value for key in ("movie", "dark", "dark_frames")}
             chosen["camera_type"] = self.session.model.camera.type
             say = self.run_bar.say

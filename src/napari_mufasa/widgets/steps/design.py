@@ -5,8 +5,9 @@ from typing import Annotated, Any
 
 import pandas as pd
 from magicgui import magic_factory, magicgui
+from magicgui.widgets import ComboBox
 from pydantic import NonNegativeFloat
-from qtpy.QtWidgets import QComboBox, QWidget
+from qtpy.QtWidgets import QWidget
 
 from napari_mufasa.design import design as predicted
 from napari_mufasa.design import numbers
@@ -16,7 +17,7 @@ from napari_mufasa.report.fields import number_text, told
 from napari_mufasa.report.lines import solution_lines
 from napari_mufasa.report.plots import predictions
 from napari_mufasa.widgets.parts.edits import TypedEdit
-from napari_mufasa.widgets.parts.forms import DerivedValues, begin
+from napari_mufasa.widgets.parts.forms import DerivedValues, begin, dress_one
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import AnyMovie, Believed
 from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, button, column, row, section
@@ -77,20 +78,16 @@ class DesignPanel(Panel):
     hidden = ("movie",)
 
     def build(self) -> None:
-        self.prediction: pd.DataFrame | None = None
+        self.prediction: Any = None
         self.varied: list[str] = []
         self.table = RowTable(["Prediction"], "Predictions, a column for each value")
         header: Any = self.table.horizontalHeader()
         header.setSectionResizeMode(0, header.ResizeMode.ResizeToContents)  # what it is must not be cut
         self.plot = PlotCanvas(self.viewer, "Press Predict: curves over one value, maps over two.", 260)
-        self.shown = QComboBox()
-        self.shown.setAccessibleName("Prediction drawn")
-        for name, path in TARGETS:
-            self.shown.addItem(name, path)
-        self.shown.setCurrentIndex(QUANTITIES.index("snr_spot"))
-        self.shown.currentIndexChanged.connect(self._draw)
+        self.shown = dress_one(ComboBox(choices=TARGETS, value="snr_spot", label="Prediction drawn"))
+        self.shown.changed.connect(self._draw)
         page = QWidget()
-        column(page, self.shown, self.plot, shares=(0, 1))
+        column(page, self.shown.native, self.plot, shares=(0, 1))
         self.save_button = self.saver("Save table as CSV …", "Save predictions", self.save, "design.csv")
         what_follows = section("What follows", DerivedValues(self.session))
         self.add(self.form.native, self.run_bar, what_follows, section("Solve for a target", self._solver()))
@@ -128,16 +125,14 @@ class DesignPanel(Panel):
         self.save_button.setEnabled(True)
         self._draw()
 
-    def _draw(self) -> None:
+    def _draw(self, _shown: Any = None) -> None:
         if self.prediction is not None:
-            table, varied, shown = self.prediction, self.varied, [str(self.shown.currentData())]
+            table, varied, shown = self.prediction, self.varied, [str(self.shown.value)]
             self.plot.draw(lambda figure: predictions(figure, table, varied, shown), table)
 
     def save(self, path: str) -> str:
         from napari_mufasa.files.whole import write_table
 
-        if self.prediction is None:
-            raise MufasaError("nothing was predicted yet: press Predict first")
         write_table(path, self.prediction)
         return path
 

@@ -127,7 +127,7 @@ class DiscoverPanel(Panel):
 
     # runs -------------------------------------------------------------------------------------------
     def prepare(self) -> None:
-        self.measurement().recorded()
+        self.session.measurement().recorded()
         layer = weakref.ref(self.form.movie.value)
 
         def done(layers: list[Any]) -> Generator[None, None, None]:
@@ -238,8 +238,7 @@ class DiscoverPanel(Panel):
         """Write report.json, model.json and the table of observables."""
         from napari_mufasa.files.whole import write_table
 
-        if self.report is None:
-            raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
+        assert self.report is not None
         target = Path(folder)
         self.report.to_json(str(target / "report.json"))
         self.report.model.to_json(target / "model.json")

@@ -99,17 +99,11 @@ def molecules_on(movie: Any, found: "TraceSet", **more: Any) -> Points:
 
 def paths_on(movie: Any, found: "TraceSet", first_frame: int = 0) -> Tracks:
     """Where the kept molecules were followed to; `first_frame` of the movie is the first that was read."""
-    table, paths = found.molecules, found.path_px
-    assert paths is not None  # they were followed
-    rows, features = [], []
-    for i in np.flatnonzero(found.kept):
-        molecule = table.iloc[i]
-        frames = np.arange(molecule["first_found"], molecule["last_found"] + 1)
-        number = np.full(len(frames), molecule["molecule"])
-        rows.append(np.column_stack([number, frames, paths[i, frames]]))
-        features.append(np.full(len(frames), molecule["diffusion_px2_per_frame"]))
+    from napari_mufasa.traces.table import path_table
+
+    table, diffusion = path_table(found), found.molecules.set_index("molecule")["diffusion_px2_per_frame"]
     return Tracks(
-        np.concatenate(rows), name=f"{movie.name}, paths", features={"diffusion": np.concatenate(features)},
+        table.to_numpy(float), name=f"{movie.name}, paths", features={"diffusion": table["molecule"].map(diffusion)},
         tail_length=found.all_traces.shape[1], **space_of(movie, first_frame),
     )  # fmt: skip
 
@@ -141,7 +135,7 @@ class MoleculesPanel(Panel):
         return found
 
     def prepare(self) -> None:
-        self.measurement()
+        self.session.measurement()
         movie = self.form.movie.value
         self.call(self.running, lambda layers: self._show(layers, movie))
 
@@ -213,8 +207,7 @@ class MoleculesPanel(Panel):
         """Write traces.csv and molecules.csv (docs/files.md)."""
         from napari_mufasa.traces.table import write_traces
 
-        if self.traces is None:
-            raise MufasaError("no traces yet: extract them first")
+        assert self.traces is not None
         write_traces(folder, self.traces)
         return f"traces.csv and molecules.csv in {folder}"
 

@@ -9,15 +9,16 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from qtpy.QtCore import QEvent, QObject, Qt, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QProgressBar, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.widgets.parts.pieces import Words, button, column, row, timer
+from napari_mufasa.widgets.parts.pieces import Words, button, column, made, row, timer
 from napari_mufasa.widgets.turns.steering import Cancel, Progress
 
 Work = Callable[[Progress, Cancel], Any]
@@ -87,9 +88,7 @@ class RunBar(QWidget):
         super().__init__(parent)
         self.run_button = button(run_label, self.clicked.emit, tooltip)
         self.cancel_button = button("Cancel", self.cancel, "Stop this run; nothing is kept of it")
-        self.bar = QProgressBar()
-        self.bar.setTextVisible(False)
-        self.bar.setMaximumHeight(6)
+        self.bar = made(QProgressBar, textVisible=False, maximumHeight=6)
         self.message = Words()
         self.message.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         buttons = row(self.run_button, self.cancel_button, shares=(1,))
@@ -170,12 +169,8 @@ class RunBar(QWidget):
             return
         ended = True
         try:
-            next(self._rest)
-            ended = False
-        except StopIteration:
-            pass
-        except MufasaError as error:
-            self.say(report_error(error), error=True)
+            with errors_reported(partial(self.say, error=True)):
+                ended = next(self._rest, True) is True
         finally:
             if ended:
                 self._end()
@@ -275,6 +270,15 @@ class WhenSeen(Latest):
         if self._stale and event.type() == QEvent.Type.Show:
             self.renew()
         return False
+
+
+@contextlib.contextmanager
+def errors_reported(then: Callable[[str], Any] = lambda line: None) -> Iterator[None]:
+    """Here a `MufasaError` becomes a notification, and ``then(line)`` tells it elsewhere."""
+    try:
+        yield
+    except MufasaError as error:
+        then(report_error(error))
 
 
 def report_error(error: BaseException) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import weakref
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 from napari.layers import Image, Layer
 from napari.viewer import Viewer
@@ -45,7 +45,7 @@ class Session(QObject):
         self._model: Model | None = None
         self.model_origin = ""
         self.model_chosen = False  # whether anyone said which model is believed
-        self._layers: dict[str, weakref.ref[Image]] = {}
+        self._layers: WeakValueDictionary[str, Image] = WeakValueDictionary()
         self.dark_frames = 0
         self.traces: TraceSet | None = None  # the last ones read of a movie
 
@@ -127,11 +127,11 @@ class Session(QObject):
     def _keep(self, name: str, layer: Image | None) -> None:
         self._layers.pop(name, None)
         if layer is not None:
-            self._layers[name] = weakref.ref(layer)
+            self._layers[name] = layer
 
     def _layer(self, name: str) -> Image | None:
         """The layer chosen, unless it was taken out of the viewer."""
-        layer = self._layers[name]() if name in self._layers else None
+        layer = self._layers.get(name)
         return layer if layer is not None and layer in self.viewer.layers else None
 
 
