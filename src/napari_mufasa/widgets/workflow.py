@@ -14,6 +14,8 @@ from napari_mufasa.widgets.parts.pieces import button, column, made, row, shortc
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
 
 TAB_STYLE = "QTabBar::tab { padding: 3px 4px; }"  # docks are narrow
+# napari puts an empty stretch below widgets that do not ask for the height; it would take half of the dock.
+TALL = (QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
 STEPS = ("Data", "Camera", "Denoise", "Molecules", "Model", "Compare", "Discover")
 HOMES = {
     "Data": "data:DataPanel", "Camera": "calibrate:CameraPanel", "Denoise": "denoise:DenoisePanel",
@@ -33,42 +35,30 @@ class Scrolled(QScrollArea):
     whatever the theme's font makes of that later."""
 
     def __init__(self, panel: QWidget | None = None) -> None:
-        never = Qt.ScrollBarPolicy.ScrollBarAlwaysOff
-        super().__init__(widgetResizable=True, frameShape=self.Shape.NoFrame, horizontalScrollBarPolicy=never)  # type: ignore[call-arg]
+        super().__init__()
+        self.setWidgetResizable(True)
+        self.setFrameShape(self.Shape.NoFrame)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setSizePolicy(*TALL)
         self.setWidget(panel)
 
+    def sizeHint(self) -> QSize:
+        return QSize(420, 700)
+
     def minimumSizeHint(self) -> QSize:
-        panel, hint = self.widget(), super().minimumSizeHint()
-        return QSize(min(560, panel.minimumSizeHint().width() + 18), hint.height()) if panel is not None else hint
+        panel, height = self.widget(), super().minimumSizeHint().height()
+        needed = panel.minimumSizeHint().width() + 18 if panel is not None else 0
+        return QSize(max(360, min(560, needed)), height)
 
 
-class Dock(QWidget):
-    """What napari puts into a dock; `size`: the least width, and the size it would like to have."""
-
-    size_px = (360, 420, 700)
+class WorkflowWidget(QWidget):
+    """All steps in one dock. Each works alone and keeps its state; movie, model and results flow forward."""
 
     def __init__(self, napari_viewer: Viewer) -> None:
         super().__init__()
-        # napari puts an empty stretch below widgets that do not ask for the height; it would take half of the dock.
-        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        self.fill(unwrapped(napari_viewer))
-        layout: Any = self.layout()
-        layout.addStrut(self.size_px[0])
-
-    def fill(self, viewer: Viewer) -> None:
-        raise NotImplementedError(f"{type(self).__name__} has no fill()")
-
-    def sizeHint(self) -> QSize:
-        return QSize(*self.size_px[1:])
-
-
-class WorkflowWidget(Dock):
-    """All steps in one dock. Each works alone and keeps its state; movie, model and results flow forward."""
-
-    size_px = (440, 460, 760)
-
-    def fill(self, viewer: Viewer) -> None:
-        self.viewer, self.session = viewer, session_of(viewer)
+        self.setSizePolicy(*TALL)
+        self.viewer = unwrapped(napari_viewer)
+        self.session = session_of(self.viewer)
         self.steps: dict[str, QWidget] = {}
         self.tabs = made(QTabWidget, usesScrollButtons=False, styleSheet=TAB_STYLE)
         for number, name in enumerate(STEPS, 1):
@@ -80,8 +70,11 @@ class WorkflowWidget(Dock):
         shortcut(self, "Alt+Left", partial(self.go, -1))
         shortcut(self, "Alt+Right", partial(self.go, 1))
         bottom = row(self.back_button, QWidget(), self.next_button, shares=(0, 1))
-        column(self, self.tabs, bottom, shares=(1,), margins=(2, 2, 2, 2))
+        column(self, self.tabs, bottom, shares=(1,), margins=(2, 2, 2, 2)).addStrut(440)
         self._on_shown(0)
+
+    def sizeHint(self) -> QSize:
+        return QSize(460, 760)
 
     def step(self, name: str) -> Any:
         """The panel of a step, made when it is first needed."""
@@ -103,14 +96,14 @@ class WorkflowWidget(Dock):
         self.next_button.setEnabled(index < len(STEPS) - 1)
 
 
-class Single(Dock):
+class Single(Scrolled):
     """One step as a dock of its own."""
 
     step_name = ""
 
-    def fill(self, viewer: Viewer) -> None:
-        self.panel = panel_of(self.step_name, viewer)
-        column(self, Scrolled(self.panel))
+    def __init__(self, napari_viewer: Viewer) -> None:
+        self.panel = panel_of(self.step_name, unwrapped(napari_viewer))
+        super().__init__(self.panel)
 
 
 def single(step: str) -> type[Single]:

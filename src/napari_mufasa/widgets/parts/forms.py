@@ -143,15 +143,15 @@ def widget_for(name: str, field: FieldInfo, owner: type[BaseModel]) -> Any:
     kind: Any = next(k for k in kinds if k is not type(None))
     bounds, optional = bounds_of(field), type(None) in kinds
     tip = (field.description or label_of(name)) + (f"\nallowed: {bounds}" if bounds else "")
-    shared: dict[str, Any] = {"name": name, "label": told(name, owner), "tooltip": tip}
+    options: dict[str, Any] = {"name": name, "label": told(name, owner), "tooltip": tip}
     if get_origin(kind) is Literal:
-        return ComboBox(choices=get_args(kind), **shared)
+        return ComboBox(choices=get_args(kind), **options)
     if kind is bool:
-        return CheckBox(**shared)
+        return CheckBox(**options)
     if kind is typing.Any:
-        return MapEdit(**shared)
-    shared["tooltip"] += "\nempty: off" if optional else ""
-    return TypedEdit(of=kind, nullable=optional, empty=EMPTY.get(name, "off" if optional else ""), **shared)
+        return MapEdit(**options)
+    options["tooltip"] += "\nempty: off" if optional else ""
+    return TypedEdit(of=kind, nullable=optional, empty=EMPTY.get(name, "off" if optional else ""), **options)
 
 
 # of a session's model ------------------------------------------------------------------------------------

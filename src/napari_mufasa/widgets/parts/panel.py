@@ -14,7 +14,6 @@ from napari_mufasa.widgets.parts.forms import shared
 from napari_mufasa.widgets.parts.pieces import Words, button, shortcut
 from napari_mufasa.widgets.turns.jobs import RunBar, errors_reported
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
-from napari_mufasa.widgets.turns.steering import steered
 
 
 class Panel(QWidget):
@@ -73,16 +72,7 @@ class Panel(QWidget):
     def call(self, title: str, done: Any, **changes: Any) -> None:
         """Run the step's function in the background on the form's values."""
         values, function = self.form.asdict() | changes, self.form.__wrapped__
-        self.start(title, lambda: function(**values), done)
-
-    def start(self, title: str, work: Callable[[], Any], done: Any) -> None:
-        """Run `work`, which may ask `steering()`, in the background; then ``done(result)``."""
-
-        def run(progress: Any, cancel: Any) -> Any:
-            with steered(progress, cancel):
-                return work()
-
-        self.run_bar.start(title, run, done)
+        self.run_bar.start(title, lambda: function(**values), done)
 
     def guarded(self, action: Callable[[], Any]) -> None:
         """Do something at once; a `MufasaError` becomes a notification and a line in the panel."""

@@ -110,7 +110,7 @@ class CameraPanel(Panel):
         asked = self.form.asdict()
         names = ("movie", "dark", "dark_frames", "em_gain", "electrons_per_adu", "quantum_efficiency")
         given = {name: asked[name] for name in names}
-        self.start("Proposing a model", lambda: propose(**given), self.take_proposal)
+        self.run_bar.start("Proposing a model", lambda: propose(**given), self.take_proposal)
         into_view(self.run_bar)
 
     def take_proposal(self, found: Proposal) -> None:

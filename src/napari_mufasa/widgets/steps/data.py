@@ -92,7 +92,7 @@ class DataPanel(Panel):
         self._open("Simulating the sample", SAMPLES[key][1])
 
     def _open(self, title: str, read: Callable[[], list[LayerData]]) -> None:
-        self.start(title, lambda: [Layer.create(*data) for data in read()], self.take)
+        self.run_bar.start(title, lambda: [Layer.create(*data) for data in read()], self.take)
 
     def take(self, layers: list[Any]) -> Generator[None, None, None]:
         yield from added(self.viewer, layers)

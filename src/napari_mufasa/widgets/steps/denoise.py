@@ -120,7 +120,7 @@ class DenoisePanel(Panel):
             chosen = {key: self.form[key].value for key in ("movie", "dark", "dark_frames")}
             chosen["camera_type"] = self.session.model.camera.type
             say = self.run_bar.say
-            self.start(
+            self.run_bar.start(
                 "Measuring the camera", lambda: calibrate(**chosen), lambda found: say(believe(self.session, found))
             )
         elif name in CAMERAS:

@@ -159,7 +159,7 @@ class DiscoverPanel(Panel):
                         investigation.undo()
                     raise
 
-        self.start(f"Adding {in_text(candidate.effect)}", work, self.take)
+        self.run_bar.start(f"Adding {in_text(candidate.effect)}", work, self.take)
         self._enable()
 
     def undo(self) -> None:

@@ -19,9 +19,9 @@ from qtpy.QtWidgets import QProgressBar, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.widgets.parts.pieces import Words, button, column, made, row, timer
-from napari_mufasa.widgets.turns.steering import Cancel, Progress
+from napari_mufasa.widgets.turns.steering import Cancel, steered
 
-Work = Callable[[Progress, Cancel], Any]
+Work = Callable[[], Any]
 Asked = Callable[[Cancel], Any]
 POLL_S = 0.05
 TWENTIETHS = 20  # steps of the progress bars: napari draws its own at each
@@ -56,7 +56,12 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
     at once: the generator leaves, the work notices at its next look at `stop` and throws its result away.
     """
     news: queue.SimpleQueue[tuple[int, int] | Outcome] = queue.SimpleQueue()
-    in_thread("mufasa-work", lambda: work(lambda done, total: news.put((done, total)), stop), news.put)
+
+    def run() -> Any:
+        with steered(lambda done, total: news.put((done, total)), stop):
+            return work()
+
+    in_thread("mufasa-work", run, news.put)
     twentieths = 0
     while not stop():
         try:
@@ -75,10 +80,10 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
 class RunBar(QWidget):
     """A Run button, a Cancel button, progress, and one line about what happened.
 
-    ``start(title, work, done)`` runs ``work(progress, cancel)`` in the background and then calls ``done(result)`` in
-    the interface's thread. Where `done` is a generator, the interface breathes at each ``yield``: what it has to do
-    (a layer, another layer, a table) is done one thing at a time. ``finished`` is emitted after every run, however it
-    ended.
+    ``start(title, work, done)`` runs ``work()``, which may ask `steering()`, in the background and then calls
+    ``done(result)`` in the interface's thread. Where `done` is a generator, the interface breathes at each ``yield``:
+    what it has to do (a layer, another layer, a table) is done one thing at a time. ``finished`` is emitted after every
+    run, however it ended.
     """
 
     clicked = Signal()
