@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from magicgui.type_map._magicgui import MagicFactory
 from magicgui.widgets import CheckBox, ComboBox, FunctionGui
 from napari.layers import Image, Layer, Points, Tracks
 
@@ -24,7 +25,7 @@ from napari_mufasa.report.fields import bounds_of, unit_of
 from napari_mufasa.widgets.parts.edits import MapEdit, TypedEdit
 from napari_mufasa.widgets.parts.forms import PartForm
 
-STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "design")
+STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "propose", "design")
 
 
 @pytest.fixture(autouse=True)
@@ -56,8 +57,9 @@ def ours(layer):
 # all steps ------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("step", STEPS)
 def test_asdict_gives_the_parameters_of_the_function_and_their_defaults(step):
+    assert isinstance(factory(step), MagicFactory)  # magicgui's own
     widget = factory(step)()
-    assert isinstance(widget, FunctionGui)
+    assert isinstance(widget, FunctionGui) and widget.__wrapped__ is function(step)
     parameters = inspect.signature(function(step)).parameters
     shown = widget.asdict()
     assert list(shown) == list(parameters)
@@ -67,7 +69,7 @@ def test_asdict_gives_the_parameters_of_the_function_and_their_defaults(step):
         assert widget[name].tooltip or isinstance(widget[name], CheckBox), f"{name} has no tooltip"
 
 
-@pytest.mark.parametrize("step", ["denoise", "traces", "compare", "discover", "calibrate"])
+@pytest.mark.parametrize("step", ["denoise", "traces", "compare", "discover", "calibrate", "propose"])
 def test_a_step_without_its_movie_says_so(step):
     with pytest.raises((MufasaError, TypeError), match="movie"):
         factory(step)()()

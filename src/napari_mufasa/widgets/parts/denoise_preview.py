@@ -111,14 +111,19 @@ class PreviewBox(QWidget):
         if look is None or movie is None:
             return
         for name, data in ((TAKEN, look.residual), (SHOWN, look.split(self.split.value() / 100))):
+            shown = self._layers.get(name)
+            if shown is not None and shown.data.shape == data.shape:
+                shown.data = data
+                continue
+            self._layers.remove(name)
             # Neither is ever offered as the movie, like the pictures of where a model fails.
             new = Image(
                 data, name=name, contrast_limits=_contrast(name, look), colormap="gray", visible=name == SHOWN,
                 metadata={METADATA_KEY: {"role": PLACE}}, **plane_of(movie),
             )  # fmt: skip
-            if self._layers.show(name, new, movie):
-                QTimer.singleShot(NEXT_TURN_MS, self._show)  # the other one in the next turn
-                return
+            self._layers.show(name, new, movie)
+            QTimer.singleShot(NEXT_TURN_MS, self._show)  # the other one in the next turn
+            return
 
 
 def _contrast(name: str, look: Look) -> tuple[float, float]:

@@ -38,7 +38,12 @@ def begin(form: FunctionGui[..., Any]) -> None:
     dress(form)
     whose: Any = create_widget(annotation=Viewer, gui_only=True)  # napari binds it to the viewer that it is put into
     form.append(whose)
-    form.native_parent_changed.connect(lambda parent: shared(form, whose.value) if parent and whose.value else None)
+
+    def docked(parent: Any) -> None:
+        if parent is not None and whose.value is not None:
+            shared(form, whose.value)
+
+    form.native_parent_changed.connect(docked)
 
 
 def shared(form: Any, viewer: Viewer) -> Any:

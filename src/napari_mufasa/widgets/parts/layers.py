@@ -98,8 +98,6 @@ class OwnLayers:
             if isinstance(new, Points):
                 without_labels(self.viewer, new)
             return True
-        if isinstance(layer, Image) and layer.data.shape != new.data.shape:  # of another movie
-            layer.contrast_limits = new.contrast_limits
         if not np.array_equal(layer.data, new.data):
             layer.data = new.data
         for key in ("name", "scale", "translate", "metadata"):

@@ -15,7 +15,7 @@ from qtpy.QtGui import QImage, QPixmap
 from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QToolButton, QWidget
 
 from napari_mufasa.report.offscreen import Draw, rgba, with_figure
-from napari_mufasa.widgets.parts.pieces import Words, column, made, row
+from napari_mufasa.widgets.parts.pieces import column, made, row
 from napari_mufasa.widgets.turns.jobs import WhenSeen
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class PlotCanvas(QWidget):
         self._viewer = viewer
         self._draw: Draw | None = None
         self.data: pd.DataFrame | None = None
-        self.title = Words()
+        self.title = made(QLabel, wordWrap=True)
         tip = "Save the plot (PNG, SVG, PDF) or its data (CSV)"
         self.save_button = made(QToolButton, text="Save …", toolTip=tip, clicked=self._ask_and_save, visible=False)
         self.picture = made(  # or the hint, while there is none
@@ -74,7 +74,7 @@ class PlotCanvas(QWidget):
         if self._draw is None:
             self.picture.clear()
         self._draw, self.data = function, data
-        self.title.say(title)
+        self.title.setText(title)
         self.save_button.show()
         self._latest.renew()
 
@@ -82,7 +82,7 @@ class PlotCanvas(QWidget):
         """Show a hint instead of a plot."""
         self._draw, self.data = None, None
         self._latest.drop()
-        self.title.say("")
+        self.title.clear()
         self.picture.setText(hint)
         self.save_button.hide()
 

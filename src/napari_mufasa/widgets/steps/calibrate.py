@@ -1,9 +1,8 @@
 """Calibrate (step Camera): the camera of every later step, typed in or measured on the movie."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from magicgui import magic_factory
-from pydantic import NonNegativeFloat, confloat
 
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.measure import CameraType
@@ -12,11 +11,10 @@ from napari_mufasa.propose import Proposal
 from napari_mufasa.report.lines import calibration_line, fit_line, proposal_lines
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.widgets.parts.doubts import Doubts
-from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.forms import PartEditor, begin
 from napari_mufasa.widgets.parts.model_edit import ModelEdit
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
+from napari_mufasa.widgets.parts.parameters import NUMBER, Dark, DarkFrames, Efficiency, ElectronsPerAdu, EmGain, Movie
 from napari_mufasa.widgets.parts.pieces import Words, button, into_view, section, timer
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.propose import propose
@@ -24,7 +22,6 @@ from napari_mufasa.widgets.turns.session import Session
 from napari_mufasa.widgets.turns.steering import steering
 
 TIMING = ("frame_length_s", "frame_interval_s", "pixel_size_nm")
-NUMBER: dict[str, Any] = {"widget_type": TypedEdit, "of": NonNegativeFloat}
 
 
 def calibrate(
@@ -32,13 +29,9 @@ def calibrate(
     dark: Dark = None,
     dark_frames: DarkFrames = 0,
     camera_type: Annotated[CameraType, {"label": "Type"}] = "EMCCD",
-    em_gain: Annotated[
-        float | None, NUMBER | {"label": "EM gain", "of": confloat(ge=1), "empty": "300 for an EMCCD"}
-    ] = None,
-    electrons_per_adu: Annotated[
-        float | None, NUMBER | {"label": "Electrons per count", "empty": "from the EM gain"}
-    ] = None,
-    quantum_efficiency: Annotated[float, NUMBER | {"label": "Quantum efficiency", "of": confloat(ge=0, le=1)}] = 0.9,
+    em_gain: EmGain = None,
+    electrons_per_adu: ElectronsPerAdu = None,
+    quantum_efficiency: Efficiency = 0.9,
     baseline_adu: Annotated[float | None, NUMBER | {"label": "Baseline (ADU)", "empty": "measured"}] = None,
     read_noise_adu: Annotated[float | None, NUMBER | {"label": "Read noise (ADU)", "empty": "measured"}] = None,
 ) -> Calibration:
@@ -46,9 +39,7 @@ def calibrate(
 
     Parameters:
         camera_type: An EM register doubles the variance
-        em_gain: If it is known
         electrons_per_adu: Photon transfer measures only its ratio to the EM gain: give one of them
-        quantum_efficiency: Photoelectrons per photon, as stated
         baseline_adu: Instead of dark frames
         read_noise_adu: Instead of dark frames
 

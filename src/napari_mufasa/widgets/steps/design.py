@@ -6,7 +6,6 @@ from typing import Annotated, Any
 import pandas as pd
 from magicgui import magic_factory, magicgui
 from magicgui.widgets import ComboBox
-from pydantic import NonNegativeFloat
 from qtpy.QtWidgets import QWidget
 
 from napari_mufasa.design import design as predicted
@@ -19,7 +18,7 @@ from napari_mufasa.report.plots import predictions
 from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.forms import DerivedValues, begin, dress_one
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import AnyMovie, Believed
+from napari_mufasa.widgets.parts.parameters import NUMBER, AnyMovie, Believed
 from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, button, column, row, section
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.turns.session import believed
@@ -29,7 +28,7 @@ TARGETS = [(told(name), name) for name in QUANTITIES]
 NOTHING = [("nothing else", "")]
 TARGET: dict[str, Any] = {"widget_type": "ComboBox", "label": "Wanted"}
 VALUES: dict[str, Any] = {"widget_type": TypedEdit, "of": tuple[float, ...]}
-VALUE: dict[str, Any] = {"widget_type": TypedEdit, "of": NonNegativeFloat, "label": "is"}
+VALUE = NUMBER | {"label": "is"}
 
 
 def design(
