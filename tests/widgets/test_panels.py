@@ -183,6 +183,7 @@ def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
     session = session_of(viewer)
     panel.source.value = "FF"
     assert "6725" in panel.derived.text()  # docs/photophysics.md: k01 = 6 724.90 per second
+    assert panel.derived.isVisibleTo(panel)
     panel.effects.kinds.value = "stage_drift"
     panel.effects.add_button.click()
     assert [effect.kind for effect in session.model.effects] == ["stage_drift"]

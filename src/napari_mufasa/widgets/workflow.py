@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from napari.viewer import Viewer
-from qtpy.QtCore import QSize, Qt
+from qtpy.QtCore import QEvent, QSize, Qt
 from qtpy.QtWidgets import QScrollArea, QSizePolicy, QTabWidget, QWidget
 
 from napari_mufasa.widgets.parts.pieces import button, column, made, row, shortcut
@@ -41,6 +41,11 @@ class Scrolled(QScrollArea):
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setSizePolicy(*TALL)
         self.setWidget(panel)
+
+    def event(self, event: Any) -> bool:
+        if event.type() == QEvent.Type.LayoutRequest:
+            self.updateGeometry()
+        return super().event(event)
 
     def sizeHint(self) -> QSize:
         return QSize(420, 700)

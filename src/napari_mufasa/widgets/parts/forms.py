@@ -35,9 +35,9 @@ def begin(form: FunctionGui[..., Any]) -> None:
     """The `widget_init` of every step: what the user prefers, our looks; in a dock of napari's it is `shared`."""
     for name in PREFERRED.keys() & form.asdict():
         form[name].value = preference(PREFERRED[name], form[name].value)
-    dress(form)
     whose: Any = create_widget(annotation=Viewer, gui_only=True)  # napari binds it to the viewer that it is put into
     form.append(whose)
+    dress(form)
 
     def docked(parent: Any) -> None:
         if parent is not None and whose.value is not None:
@@ -191,7 +191,7 @@ class DerivedValues(Words):
     """What follows from the model, live."""
 
     def __init__(self, session: Session) -> None:
-        super().__init__()
+        super().__init__("…")
         self.session = session
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         session.model_changed.connect(self.refresh)

@@ -16,7 +16,7 @@ from napari_mufasa.report.fields import number_text, told
 from napari_mufasa.report.lines import solution_lines
 from napari_mufasa.report.plots import predictions
 from napari_mufasa.widgets.parts.edits import TypedEdit
-from napari_mufasa.widgets.parts.forms import DerivedValues, begin, dress_one
+from napari_mufasa.widgets.parts.forms import DerivedValues, begin, dress, dress_one
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import NUMBER, AnyMovie, Believed
 from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, button, column, row, section
@@ -97,8 +97,9 @@ class DesignPanel(Panel):
         """Targets, and a button that changes the varied value of the model until the first is met."""
         also = TARGET | {"label": "and", "choices": NOTHING + TARGETS}
         self.targets: Any = magicgui(
-            targets, wanted=TARGET | {"choices": TARGETS}, value=VALUE, and_also=also, other=VALUE
+            targets, call_button=False, wanted=TARGET | {"choices": TARGETS}, value=VALUE, and_also=also, other=VALUE
         )
+        dress(self.targets)
         self.solution = Words()
         self.solve_button = button(
             "Solve", partial(self.guarded, self.solve), "Change the varied value of the model until the first is met"

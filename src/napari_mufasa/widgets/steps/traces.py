@@ -149,7 +149,7 @@ class MoleculesPanel(Panel):
         self.points, self.shown = points, None
         found: Any = self.traces
         said = f"{int(found.kept.sum())} molecules kept of {len(found.molecules)} candidates."
-        self.run_bar.say(said if found.path_px is None else f"{said} {moving_line(found).capitalize()}")
+        self.run_bar.say(said if found.path_px is None else f"{said} F{moving_line(found)[1:]}.")
         self.plot.clear(HINT)
         points.selected_data.events.items_changed.connect(self._on_selection)
         points.mouse_drag_callbacks.append(self._on_click)
