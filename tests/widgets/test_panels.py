@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from napari_mufasa.compare.quick import quick_distance
+from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.steps.calibrate import CameraPanel
 from napari_mufasa.widgets.steps.compare import ComparePanel
 from napari_mufasa.widgets.steps.denoise import DenoisePanel
@@ -291,6 +293,8 @@ def test_molecules_that_are_followed_are_shown_as_tracks(with_movie, open_panel,
     assert "Followed molecules" in panel.run_bar.message.text()
     panel.select(int(panel.traces.molecules["molecule"].iloc[0]))
     assert "diffusion_px2_per_frame" in with_movie.layers[-1].features
+    with pytest.raises(MufasaError, match="without following"):  # what the live distance says
+        quick_distance(panel.traces, session_of(with_movie).model)
 
 
 def test_what_the_file_says_of_the_instrument_is_shown_and_believed_on_a_click(viewer, open_panel, tmp_path, qtbot):
