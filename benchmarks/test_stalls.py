@@ -227,7 +227,7 @@ def story(viewer, workflow, path, heart, prefix, slow_cancels) -> None:
         return False
 
     def show(number) -> None:
-        workflow.buttons.button(number).click()
+        workflow.tabs.setCurrentIndex(number)
         rest(0.3)
 
     data = workflow.step("Data")

@@ -20,6 +20,7 @@ from napari_mufasa.widgets.steps.denoise import DenoisePanel
 from napari_mufasa.widgets.steps.discover import DiscoverPanel
 from napari_mufasa.widgets.steps.traces import MoleculesPanel
 from napari_mufasa.widgets.turns.jobs import RunBar
+from napari_mufasa.widgets.turns.steering import steering
 
 
 @pytest.fixture
@@ -32,7 +33,8 @@ def bar(viewer):
 def test_result_arrives_in_the_interface_thread(bar, qtbot):
     seen = []
 
-    def work(progress, cancel):
+    def work():
+        progress, _ = steering()
         for i in range(10):
             progress(i + 1, 10)
         return threading.current_thread()
@@ -48,7 +50,8 @@ def test_result_arrives_in_the_interface_thread(bar, qtbot):
 def test_cancel_frees_the_panel_within_a_second(bar, qtbot, polite):
     done, stopped, release = [], threading.Event(), threading.Event()
 
-    def work(progress, cancel):
+    def work():
+        progress, cancel = steering()
         progress(1, 100)
         while not release.wait(0.01):
             if polite and cancel():
@@ -87,7 +90,7 @@ def test_interface_has_its_turn_between_the_parts_of_a_result(bar, qtbot):
             yield
 
     with qtbot.waitSignal(bar.finished, timeout=5000):
-        bar.start("Working", lambda progress, cancel: 4, done)
+        bar.start("Working", lambda: 4, done)
     heart.stop()
     assert ended == [4] and not bar.running
     assert min(np.diff(parts)) >= 1  # the event loop had a turn after each
@@ -100,7 +103,7 @@ def test_error_in_a_part_of_the_result_is_told_and_ends_the_run(bar, qtbot):
         raise MufasaError("layer x was removed: open it again")
 
     with qtbot.waitSignal(bar.finished, timeout=5000):
-        bar.start("Working", lambda progress, cancel: 1, done)
+        bar.start("Working", lambda: 1, done)
     assert "open it again" in bar.message.text() and bar.run_button.isEnabled() and not bar.running
 
 
@@ -216,7 +219,7 @@ def test_points_draw_labels_once_they_have_any(viewer):
 
 
 def test_error_is_a_notification_with_its_remedy(bar, qtbot):
-    def work(progress, cancel):
+    def work():
         raise MufasaError("em_gain = -1: give 1 … 100000")
 
     with qtbot.waitSignal(bar.finished, timeout=5000):
@@ -237,7 +240,7 @@ def test_a_run_changes_nothing_of_python_or_of_the_system(bar, qtbot):
             os.getpriority(os.PRIO_PROCESS, 0),
         )
 
-    def work(progress, cancel):
+    def work():
         return state(), os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
 
     before, found = state(), []

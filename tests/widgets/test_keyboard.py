@@ -80,7 +80,7 @@ def test_every_control_has_a_name_and_is_reached_by_tab(workflow, name):
 def test_the_dock_is_as_wide_as_the_step_that_is_shown(workflow, qtbot):
     for number, name in enumerate(STEPS):
         workflow.show_step(number)
-        panel, scrolled = workflow.step(name), workflow.stack.widget(number)
+        panel, scrolled = workflow.step(name), workflow.tabs.widget(number)
         qtbot.waitUntil(lambda p=panel, s=scrolled: p.width() <= s.viewport().width(), timeout=5000)  # else it is cut
 
 
@@ -89,10 +89,10 @@ def test_keys_change_the_step_and_run_it(workflow, qtbot):
     # Keys go to a window that is active, and without a window manager it takes a while to be.
     workflow.window().activateWindow()
     qtbot.waitUntil(workflow.window().isActiveWindow, timeout=10_000)
-    workflow.buttons.button(0).setFocus()
-    qtbot.waitUntil(workflow.buttons.button(0).hasFocus, timeout=10_000)
-    qtbot.keyClick(workflow.buttons.button(0), Qt.Key.Key_4, Qt.KeyboardModifier.AltModifier)
-    assert STEPS[workflow.stack.currentIndex()] == "Molecules"
+    workflow.tabs.tabBar().setFocus()
+    qtbot.waitUntil(workflow.tabs.tabBar().hasFocus, timeout=10_000)
+    qtbot.keyClick(workflow.tabs.tabBar(), Qt.Key.Key_4, Qt.KeyboardModifier.AltModifier)
+    assert STEPS[workflow.tabs.currentIndex()] == "Molecules"
     panel = workflow.step("Molecules")
     threshold = panel.form.threshold_sigma.native
     threshold.setFocus()
@@ -100,4 +100,4 @@ def test_keys_change_the_step_and_run_it(workflow, qtbot):
         qtbot.keyClick(threshold, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
     assert panel.traces is not None
     qtbot.keyClick(threshold, Qt.Key.Key_Right, Qt.KeyboardModifier.AltModifier)
-    assert STEPS[workflow.stack.currentIndex()] == "Model"
+    assert STEPS[workflow.tabs.currentIndex()] == "Model"

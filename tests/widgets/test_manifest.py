@@ -134,14 +134,23 @@ def test_hidden_effect_sample_tells_the_belief_and_not_the_truth(viewer):
 
 
 def test_preferences_are_those_of_the_manifest_and_are_obeyed(viewer):
+    from importlib.resources import files
+
+    import yaml
     from napari.settings import get_plugin_settings
 
-    from napari_mufasa.widgets.parts.preferences import _defaults, preference
+    from napari_mufasa.widgets.parts.preferences import preference
     from napari_mufasa.widgets.steps.traces import MoleculesPanel
 
-    names = [f"{group}.{name}" for group, settings in _defaults().items() for name in settings]
-    assert len(names) >= 6
-    assert all(preference(name) == _defaults()[name.split(".")[0]][name.split(".")[1]] for name in names)
+    manifest = yaml.safe_load((files("napari_mufasa") / "napari.yaml").read_text(encoding="utf-8"))
+    declared = {
+        f"{group}.{name}": setting["default"]
+        for group, settings in manifest["contributions"]["configurations"].items()
+        for name, setting in settings["properties"].items()
+    }
+    assert len(declared) >= 6
+    assert all(preference(name, None) == default for name, default in declared.items())
+    assert preference("steps.of_no_kind", 5) == 5
     settings = get_plugin_settings("napari-mufasa")
     settings.steps.threshold_sigma = 9.5
     try:

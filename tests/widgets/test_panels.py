@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from napari_mufasa.compare.quick import quick_distance
+from napari_mufasa.errors import MufasaError
 from napari_mufasa.widgets.steps.calibrate import CameraPanel
 from napari_mufasa.widgets.steps.compare import ComparePanel
 from napari_mufasa.widgets.steps.denoise import DenoisePanel
@@ -183,6 +185,7 @@ def test_model_panel_edits_effects_and_shows_what_follows(viewer, open_panel):
     session = session_of(viewer)
     panel.source.value = "FF"
     assert "6725" in panel.derived.text()  # docs/photophysics.md: k01 = 6 724.90 per second
+    assert panel.derived.isVisibleTo(panel)
     panel.effects.kinds.value = "stage_drift"
     panel.effects.add_button.click()
     assert [effect.kind for effect in session.model.effects] == ["stage_drift"]
@@ -226,12 +229,12 @@ def test_workflow_shares_its_values_between_steps(with_movie, qtbot):
     widget = WorkflowWidget(with_movie)
     with_movie.window.add_dock_widget(widget)
     for index, name in enumerate(STEPS):
-        widget.buttons.button(index).click()
-        assert widget.stack.currentIndex() == index
+        widget.tabs.setCurrentIndex(index)
+        assert widget.tabs.currentIndex() == index
         assert widget.step(name).isVisibleTo(widget)
     camera = widget.step("Camera").editor.form["read_noise_e"]
     type_into(camera, "33")
-    assert widget.step("Model").parts["camera"].form.read("read_noise_e") == 33
+    assert widget.step("Model").parts["camera"].form["read_noise_e"].value == 33
     assert widget.step("Denoise").session.model.camera.read_noise_e == 33
 
 
@@ -276,7 +279,7 @@ def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, br
     run(panel)
     wanted = calibrate(bright_movie.movie, baseline_adu=367.0, read_noise_adu=82.0).camera
     assert session_of(with_movie).model.camera == wanted
-    assert panel.editor.form.read("electrons_per_adu") == wanted.electrons_per_adu
+    assert panel.editor.form["electrons_per_adu"].value == wanted.electrons_per_adu
     assert "367" in panel.result.text() and "(measured)" in session_of(with_movie).model_origin
 
 
@@ -290,6 +293,8 @@ def test_molecules_that_are_followed_are_shown_as_tracks(with_movie, open_panel,
     assert "Followed molecules" in panel.run_bar.message.text()
     panel.select(int(panel.traces.molecules["molecule"].iloc[0]))
     assert "diffusion_px2_per_frame" in with_movie.layers[-1].features
+    with pytest.raises(MufasaError, match="without following"):  # what the live distance says
+        quick_distance(panel.traces, session_of(with_movie).model)
 
 
 def test_what_the_file_says_of_the_instrument_is_shown_and_believed_on_a_click(viewer, open_panel, tmp_path, qtbot):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from napari_mufasa.model.presets import preset
+from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.steps.calibrate import CameraPanel
 from napari_mufasa.widgets.steps.compare import ComparePanel
 from napari_mufasa.widgets.steps.data import DataPanel
@@ -49,7 +50,7 @@ def test_a_proposal_can_be_cancelled(with_movie, open_panel, qtbot):
 def test_a_model_that_cannot_be_the_movies_is_warned_of(with_movie, open_panel, qtbot, step, bright_model):
     panel = open_panel(step, with_movie)
     with_movie.window._qt_window.show()  # what is not to be seen is not looked at
-    session, doubts = session_of(with_movie), panel._doubts
+    session, doubts = session_of(with_movie), panel.findChild(Doubts)
     session.set_model(bright_model.with_values({"camera.baseline_adu": 2000.0}), "another camera")
     qtbot.waitUntil(lambda: "darkest pixels" in doubts.text(), timeout=20_000)
     assert "another camera" in doubts.text()

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from magicgui.type_map._magicgui import MagicFactory
 from magicgui.widgets import CheckBox, ComboBox, FunctionGui
 from napari.layers import Image, Layer, Points, Tracks
 
@@ -21,10 +22,10 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.model.presets import preset
 from napari_mufasa.report.fields import bounds_of, unit_of
-from napari_mufasa.widgets.parts.edits import ListEdit, MapEdit, NumberEdit, ShapeEdit
+from napari_mufasa.widgets.parts.edits import MapEdit, TypedEdit
 from napari_mufasa.widgets.parts.forms import PartForm
 
-STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "design")
+STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "propose", "design")
 
 
 @pytest.fixture(autouse=True)
@@ -56,8 +57,9 @@ def ours(layer):
 # all steps ------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("step", STEPS)
 def test_asdict_gives_the_parameters_of_the_function_and_their_defaults(step):
+    assert isinstance(factory(step), MagicFactory)  # magicgui's own
     widget = factory(step)()
-    assert isinstance(widget, FunctionGui)
+    assert isinstance(widget, FunctionGui) and widget.__wrapped__ is function(step)
     parameters = inspect.signature(function(step)).parameters
     shown = widget.asdict()
     assert list(shown) == list(parameters)
@@ -67,7 +69,7 @@ def test_asdict_gives_the_parameters_of_the_function_and_their_defaults(step):
         assert widget[name].tooltip or isinstance(widget[name], CheckBox), f"{name} has no tooltip"
 
 
-@pytest.mark.parametrize("step", ["denoise", "traces", "compare", "discover", "calibrate"])
+@pytest.mark.parametrize("step", ["denoise", "traces", "compare", "discover", "calibrate", "propose"])
 def test_a_step_without_its_movie_says_so(step):
     with pytest.raises((MufasaError, TypeError), match="movie"):
         factory(step)()()
@@ -220,7 +222,7 @@ def test_with_a_viewer_the_choices_are_those_of_all_steps(with_movie, bright_mod
     from napari_mufasa.widgets.turns.session import session_of
 
     session = session_of(with_movie)
-    widget, other = widgets.traces_widget(with_movie), widgets.compare_widget(with_movie)
+    widget, other = widgets.traces_widget(), widgets.compare_widget()
     for made in (widget, other):
         with_movie.window.add_dock_widget(made)
     assert widget.movie.value is session.movie_layer and widget.model.value == bright_model
@@ -269,11 +271,7 @@ def kind_for(field) -> type:
     text = str(field.annotation)
     if "Literal" in text:
         return ComboBox
-    if "tuple" in text:
-        return ListEdit if "..." in text else ShapeEdit
-    if field.annotation is Any:
-        return MapEdit
-    return NumberEdit
+    return MapEdit if field.annotation is Any else TypedEdit
 
 
 @pytest.mark.parametrize(
@@ -281,12 +279,12 @@ def kind_for(field) -> type:
 )
 def test_every_part_and_effect_has_its_form(values):
     owner = type(values)
-    form = PartForm(owner)
+    form = PartForm(owner, lambda name, value: None)
     assert list(form.asdict()) == list(owner.model_fields)
     form.show_values(values)
     for name, field in owner.model_fields.items():
         assert type(form[name]) is kind_for(field), name
-        assert form.read(name) == getattr(values, name) or form.read(name) is getattr(values, name)
+        assert form[name].value == getattr(values, name) or form[name].value is getattr(values, name)
         unit = unit_of(name, owner)
         assert not unit or f"({unit})" in form[name].label, name
         tip = form[name].tooltip
@@ -297,15 +295,14 @@ def test_every_part_and_effect_has_its_form(values):
 
 
 def test_numbers_are_typed_in_any_notation_and_told_once():
-    form = PartForm(type(PARTS["fluorophore"]))
-    form.show_values(PARTS["fluorophore"])
     told = []
-    form.edited.connect(told.append)
+    form = PartForm(type(PARTS["fluorophore"]), lambda name, value: told.append(name))
+    form.show_values(PARTS["fluorophore"])
 
     def typed(name, text):
         form[name].native.setText(text)
         form[name].native.editingFinished.emit()
-        return form.read(name)
+        return form[name].value
 
     assert typed("lifetime_s", "2.6e-9") == 2.6e-9
     assert typed("lifetime_s", "0,003") == 0.003
@@ -316,21 +313,21 @@ def test_numbers_are_typed_in_any_notation_and_told_once():
     with pytest.raises(MufasaError, match="number"):
         typed("lifetime_s", "soon")
     form["lifetime_s"].value = 1.23456789e-9
-    assert form.read("lifetime_s") == 1.23456789e-9  # also the digits that are not shown
+    assert form["lifetime_s"].value == 1.23456789e-9  # also the digits that are not shown
     widget = widgets.traces_widget()
     widget.window.native.setText("0")
-    with pytest.raises(MufasaError, match="1 or more"):
+    with pytest.raises(MufasaError, match="greater than 0"):
         widget.asdict()
 
 
 def test_a_map_is_a_file_or_an_array(tmp_path):
-    form = PartForm(type(PARTS["camera"]), ("gain_map",))
-    assert form.read("gain_map") is None
+    form = PartForm(type(PARTS["camera"]), lambda name, value: None, ("gain_map",))
+    assert form["gain_map"].value is None
     values = np.ones((4, 6))
     form["gain_map"].value = values
-    assert form.read("gain_map") is values and form["gain_map"].line_edit.value == "4 × 6 map"
+    assert form["gain_map"].value is values and form["gain_map"].line_edit.value == "4 × 6 map"
     form["gain_map"].line_edit.native.setText(str(tmp_path / "map.tif"))
-    assert form.read("gain_map") == str(tmp_path / "map.tif")
+    assert form["gain_map"].value == str(tmp_path / "map.tif")
 
 
 def test_every_layer_that_a_step_gives_can_be_shown(viewer, layer):

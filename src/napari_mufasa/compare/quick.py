@@ -54,11 +54,15 @@ def quick_distance(
 ) -> QuickDistance:  # fmt: skip
     """The distance of `model` from `measured`; `known` from an earlier distance to the same measurement.
 
-    Raises `MufasaError` when no molecule was kept.
+    Raises `MufasaError` when no molecule was kept, or where molecules were followed.
     """
     from napari_mufasa import compare
     from napari_mufasa.errors import MufasaError
 
+    if measured.options.follow_molecules:
+        raise MufasaError(
+            "a model's molecules are read in their places: extract traces without following each molecule"
+        )
     traces = measured.traces
     if not len(traces):
         raise MufasaError("no molecule was kept: lower the threshold or relax the selection in step Molecules")

@@ -39,7 +39,7 @@ def path_table(traces: TraceSet) -> pd.DataFrame:
     for i in np.flatnonzero(traces.kept):
         row = traces.molecules.iloc[i]
         frames = np.arange(row["first_found"], row["last_found"] + 1)
-        y, x = np.round(traces.path_px[i, frames], 3).T
+        y, x = traces.path_px[i, frames].T
         parts.append(pd.DataFrame({"molecule": row["molecule"], "frame": frames, "y_px": y, "x_px": x}))
     return pd.concat(parts) if parts else pd.DataFrame(columns=["molecule", "frame", "y_px", "x_px"])
 
@@ -70,7 +70,7 @@ def write_traces(
     write_table(Path(directory) / "traces.csv", trace_table(traces))
     write_table(Path(directory) / "molecules.csv", traces.molecules)
     if traces.path_px is not None:
-        write_table(Path(directory) / "paths.csv", path_table(traces))
+        write_table(Path(directory) / "paths.csv", path_table(traces).round(3))
     if openfret:
         openfret_table(Path(directory) / "traces.openfret.json", traces, acquisition)
     if not hdf5:

@@ -2,7 +2,7 @@
 
 from napari_mufasa.widgets import denoise_widget
 
-widget = denoise_widget()           # or denoise_widget(viewer): movie, dark frames and model as chosen there
+widget = denoise_widget()           # docked in a viewer: movie, dark frames and model are those of all steps there
 widget.movie.value = layer          # an Image layer; the others as they are in widget.asdict()
 layers = widget()                   # new layers; they are also added to the viewer, if there is one
 """

@@ -7,18 +7,15 @@ from importlib import import_module
 from typing import Any
 
 from napari.viewer import Viewer
-from qtpy.QtCore import QSize, Qt
-from qtpy.QtWidgets import QButtonGroup, QScrollArea, QSizePolicy, QStackedWidget, QToolButton, QWidget
+from qtpy.QtCore import QEvent, QSize, Qt
+from qtpy.QtWidgets import QScrollArea, QSizePolicy, QTabWidget, QWidget
 
-from napari_mufasa.widgets.parts.pieces import button, column, row, shortcut
+from napari_mufasa.widgets.parts.pieces import button, column, made, row, shortcut
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
 
-# napari's own style hides which tool button is checked.
-STEP_STYLE = """
-QToolButton { padding: 3px 1px; border: none; border-bottom: 3px solid transparent; border-radius: 0px; }
-QToolButton:checked { border-bottom: 3px solid #4a90d9; background: rgba(74, 144, 217, 45); }
-QToolButton:hover { background: rgba(128, 128, 128, 60); }
-"""
+TAB_STYLE = "QTabBar::tab { padding: 3px 4px; }"  # docks are narrow
+# napari puts an empty stretch below widgets that do not ask for the height; it would take half of the dock.
+TALL = (QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
 STEPS = ("Data", "Camera", "Denoise", "Molecules", "Model", "Compare", "Discover")
 HOMES = {
     "Data": "data:DataPanel", "Camera": "calibrate:CameraPanel", "Denoise": "denoise:DenoisePanel",
@@ -40,102 +37,78 @@ class Scrolled(QScrollArea):
     def __init__(self, panel: QWidget | None = None) -> None:
         super().__init__()
         self.setWidgetResizable(True)
-        self.setFrameShape(QScrollArea.Shape.NoFrame)
+        self.setFrameShape(self.Shape.NoFrame)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setSizePolicy(*TALL)
         self.setWidget(panel)
 
+    def event(self, event: Any) -> bool:
+        if event.type() == QEvent.Type.LayoutRequest:
+            self.updateGeometry()
+        return super().event(event)
+
+    def sizeHint(self) -> QSize:
+        return QSize(420, 700)
+
     def minimumSizeHint(self) -> QSize:
-        panel, hint = self.widget(), super().minimumSizeHint()
-        return QSize(min(560, panel.minimumSizeHint().width() + 18), hint.height()) if panel is not None else hint
+        panel, height = self.widget(), super().minimumSizeHint().height()
+        needed = panel.minimumSizeHint().width() + 18 if panel is not None else 0
+        return QSize(max(360, min(560, needed)), height)
 
 
-class Dock(QWidget):
-    """What napari puts into a dock; `size`: the least width, and the size it would like to have."""
-
-    size_px = (360, 420, 700)
+class WorkflowWidget(QWidget):
+    """All steps in one dock. Each works alone and keeps its state; movie, model and results flow forward."""
 
     def __init__(self, napari_viewer: Viewer) -> None:
         super().__init__()
-        # napari puts an empty stretch below widgets that do not ask for the height; it would take half of the dock.
-        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        self.fill(unwrapped(napari_viewer))
-
-    def fill(self, viewer: Viewer) -> None:
-        raise NotImplementedError(f"{type(self).__name__} has no fill()")
-
-    def sizeHint(self) -> QSize:
-        return QSize(*self.size_px[1:])
-
-    def minimumSizeHint(self) -> QSize:
-        hint = super().minimumSizeHint()
-        return QSize(max(self.size_px[0], hint.width()), hint.height())
-
-
-class WorkflowWidget(Dock):
-    """All steps in one dock. Each works alone and keeps its state; movie, model and results flow forward."""
-
-    size_px = (440, 460, 760)
-
-    def fill(self, viewer: Viewer) -> None:
-        self.viewer, self.session = viewer, session_of(viewer)
+        self.setSizePolicy(*TALL)
+        self.viewer = unwrapped(napari_viewer)
+        self.session = session_of(self.viewer)
         self.steps: dict[str, QWidget] = {}
-        self.buttons, self.stack = QButtonGroup(self), QStackedWidget()
-        chosen = [self._step_button(number, name) for number, name in enumerate(STEPS)]
-        for number, made in enumerate(chosen):
-            self.buttons.addButton(made, number)
-            self.stack.addWidget(Scrolled())
-        self.buttons.idClicked.connect(self.show_step)
-        steps = row(*chosen, shares=[1] * len(STEPS), spacing=1)
+        self.tabs = made(QTabWidget, usesScrollButtons=False, styleSheet=TAB_STYLE)
+        for number, name in enumerate(STEPS, 1):
+            self.tabs.setTabToolTip(self.tabs.addTab(Scrolled(), f"{number}\n{name}"), f"{name} (Alt+{number})")
+            shortcut(self, f"Alt+{number}", partial(self.show_step, number - 1))
+        self.tabs.currentChanged.connect(self._on_shown)
         self.back_button = button("‹ Back", partial(self.go, -1), "Step before (Alt+Left)")
         self.next_button = button("Next ›", partial(self.go, 1), "Next step (Alt+Right)")
         shortcut(self, "Alt+Left", partial(self.go, -1))
         shortcut(self, "Alt+Right", partial(self.go, 1))
         bottom = row(self.back_button, QWidget(), self.next_button, shares=(0, 1))
-        column(self, steps, self.stack, bottom, shares=(0, 1), margins=(2, 2, 2, 2))
-        self.show_step(0)
+        column(self, self.tabs, bottom, shares=(1,), margins=(2, 2, 2, 2)).addStrut(440)
+        self._on_shown(0)
 
-    def _step_button(self, number: int, name: str) -> QToolButton:
-        made = QToolButton()
-        made.setText(f"{number + 1}\n{name}")
-        made.setCheckable(True)
-        made.setToolTip(f"Step {number + 1}: {name} (Alt+{number + 1})")
-        made.setAccessibleName(f"Step {number + 1}: {name}")
-        made.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        made.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        made.setMinimumWidth(made.fontMetrics().horizontalAdvance(name) + 6)
-        made.setStyleSheet(STEP_STYLE)
-        shortcut(self, f"Alt+{number + 1}", partial(self.show_step, number))
-        return made
+    def sizeHint(self) -> QSize:
+        return QSize(460, 760)
 
     def step(self, name: str) -> Any:
         """The panel of a step, made when it is first needed."""
         if name not in self.steps:
             self.steps[name] = panel = panel_of(name, self.viewer)
-            scrolled: Any = self.stack.widget(STEPS.index(name))
+            scrolled: Any = self.tabs.widget(STEPS.index(name))
             scrolled.setWidget(panel)
         return self.steps[name]
 
     def go(self, by: int) -> None:
-        self.show_step(self.stack.currentIndex() + by)
+        self.show_step(self.tabs.currentIndex() + by)
 
     def show_step(self, index: int) -> None:
-        index = max(0, min(index, len(STEPS) - 1))
+        self.tabs.setCurrentIndex(index)  # Qt lets be what is no step
+
+    def _on_shown(self, index: int) -> None:
         self.step(STEPS[index])
-        self.stack.setCurrentIndex(index)
-        chosen: Any = self.buttons.button(index)
-        chosen.setChecked(True)
         self.back_button.setEnabled(index > 0)
         self.next_button.setEnabled(index < len(STEPS) - 1)
 
 
-class Single(Dock):
+class Single(Scrolled):
     """One step as a dock of its own."""
 
     step_name = ""
 
-    def fill(self, viewer: Viewer) -> None:
-        self.panel = panel_of(self.step_name, viewer)
-        column(self, Scrolled(self.panel))
+    def __init__(self, napari_viewer: Viewer) -> None:
+        self.panel = panel_of(self.step_name, unwrapped(napari_viewer))
+        super().__init__(self.panel)
 
 
 def single(step: str) -> type[Single]:

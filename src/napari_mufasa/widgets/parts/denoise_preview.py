@@ -13,8 +13,8 @@ from qtpy.QtWidgets import QCheckBox, QSlider, QWidget
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.movies import METADATA_KEY
 from napari_mufasa.widgets.parts.edits import PLACE
-from napari_mufasa.widgets.parts.layers import OwnLayers, like
-from napari_mufasa.widgets.parts.pieces import Words, column, row
+from napari_mufasa.widgets.parts.layers import OwnLayers, plane_of
+from napari_mufasa.widgets.parts.pieces import Words, column, made, row
 from napari_mufasa.widgets.turns.gently import NEXT_TURN_MS
 from napari_mufasa.widgets.turns.jobs import Latest, report_error
 
@@ -38,18 +38,15 @@ class PreviewBox(QWidget):
         self._layers = OwnLayers(session.viewer)
         self._latest = Latest(WAIT_MS, self)
         self._latest.arrived.connect(self._on_arrived)
-        self.switch = QCheckBox("Preview on this frame")
-        self.switch.setToolTip("Denoises the frame in view, and each one you go to")
-        self.split = QSlider(Qt.Orientation.Horizontal)
-        self.split.setMaximum(100)
-        self.split.setValue(50)
-        self.split.setToolTip("Left of here the recorded frame, right of it the denoised one")
-        self.split.setAccessibleName("Border between before and after")
-        self.split.hide()
+        tip = "Denoises the frame in view, and each one you go to"
+        self.switch = made(QCheckBox, "Preview on this frame", toolTip=tip, toggled=self._on_switched)
+        self.split = made(
+            QSlider, Qt.Orientation.Horizontal, maximum=100, value=50, visible=False, valueChanged=self._show,
+            toolTip="Left of here the recorded frame, right of it the denoised one",
+            accessibleName="Border between before and after",
+        )  # fmt: skip
         self.words = Words()
         column(self, row(self.switch, self.split), self.words)
-        self.switch.toggled.connect(self._on_switched)
-        self.split.valueChanged.connect(self._show)
         self._dims = session.viewer.dims
         self._dims.events.current_step.connect(self.refresh)
         self.destroyed.connect(lambda: self._latest.drop())
@@ -122,7 +119,7 @@ class PreviewBox(QWidget):
             # Neither is ever offered as the movie, like the pictures of where a model fails.
             new = Image(
                 data, name=name, contrast_limits=_contrast(name, look), colormap="gray", visible=name == SHOWN,
-                metadata={METADATA_KEY: {"role": PLACE}}, **{k: tuple(v)[-2:] for k, v in like(movie).items()},
+                metadata={METADATA_KEY: {"role": PLACE}}, **plane_of(movie),
             )  # fmt: skip
             self._layers.show(name, new, movie)
             QTimer.singleShot(NEXT_TURN_MS, self._show)  # the other one in the next turn

@@ -1,16 +1,16 @@
-"""Value widgets for what magicgui has none for: numbers in any notation, lists, per-pixel maps, layers."""
+"""Value widgets for what magicgui has none for: numbers in any notation, tuples, per-pixel maps, layers."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import napari
 import numpy as np
 from magicgui.widgets import ComboBox, FileEdit, LineEdit
 from napari.layers import Image, Layer, Points
 from napari.viewer import Viewer
+from pydantic import TypeAdapter, ValidationError
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import stored
@@ -20,24 +20,18 @@ PLACE = "where the model fails"  # role of layers that show misfit: never a movi
 
 
 class TypedEdit(LineEdit):
-    """A value typed as text; ``changed`` once it was typed to its end, or set. Empty is None where None is allowed.
+    """A value of a type, typed as text that pydantic reads; ``changed`` once it was typed to its end, or set.
 
-    Its value raises `MufasaError` while the text is none.
+    Numbers come in any notation (0.02, 2e-9), tuples as `0, 0.5, 1`, of pairs as `0:0, 200:180`, a shape as `96 × 128`.
+    Empty is None where None is allowed. Its value raises `MufasaError` while the text is none.
     """
 
-    def __init__(self, *, empty: str = "", **options: Any) -> None:
+    def __init__(self, *, of: Any, empty: str = "", **options: Any) -> None:
+        self.of = of
         self._shown, self._kept = "", None  # the text last shown or read, and what it stands for
         super().__init__(**options)
         self.native.setPlaceholderText(empty or ("none" if self._nullable else ""))
         self.native.editingFinished.connect(self._on_finished)
-
-    def parse(self, text: str) -> Any:
-        """The value of a text; raises ValueError that says what to type."""
-        raise NotImplementedError(f"{type(self).__name__} has no parse()")
-
-    def spell(self, value: Any) -> str:
-        """The text of a value."""
-        raise NotImplementedError(f"{type(self).__name__} has no spell()")
 
     def get_value(self) -> Any:
         text = self.native.text()
@@ -46,12 +40,12 @@ class TypedEdit(LineEdit):
         if not text.strip() and self._nullable:
             return None
         try:
-            return self.parse(text.strip())
-        except ValueError as error:
-            raise MufasaError(f"{self.name} = {text!r}: {error}") from None
+            return TypeAdapter(self.of).validate_python(_parts(text, self.of))
+        except ValidationError as error:
+            raise MufasaError(f"{self.name} = {text!r}: {error.errors()[0]['msg']}{_notation(self.of)}") from None
 
     def set_value(self, value: Any) -> None:
-        text = "" if value is None else self.spell(value)
+        text = "" if value is None else _spelled(value, " × " if _is_pair(self.of) else ", ")
         is_new = text != self.native.text()
         self._shown, self._kept = text, value
         self.native.setText(text)
@@ -67,69 +61,33 @@ class TypedEdit(LineEdit):
             self.changed.emit(self.native.text())
 
 
-class NumberEdit(TypedEdit):
-    """A number in any notation (0.02, 2e-9), `min` to `max`."""
-
-    def __init__(
-        self, *, whole: bool = False, min: float | None = None, max: float | None = None, **options: Any
-    ) -> None:
-        self.whole, self.min, self.max = whole, min, max
-        super().__init__(**options)
-
-    def parse(self, text: str) -> float | int:
-        try:
-            number = float(text.replace("−", "-").replace(",", "."))
-            value = int(number) if self.whole else number
-        except (ValueError, OverflowError):
-            raise ValueError("give a number") from None
-        if self.whole and value != number:
-            raise ValueError("give a whole number")
-        if (self.min is not None and value < self.min) or (self.max is not None and value > self.max):
-            most = " or more" if self.max is None else f" … {number_text(self.max)}"
-            raise ValueError(f"give {number_text(self.min)}{most}")
-        return value
-
-    def spell(self, value: float) -> str:
-        return number_text(value)
+def _is_pair(kind: Any) -> bool:
+    return get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis
 
 
-class ListEdit(TypedEdit):
-    """Numbers, `0:0, 200:180` pairs of them, or words, separated by commas; nothing: none. A tuple."""
-
-    def __init__(self, *, of: str = "numbers", **options: Any) -> None:
-        self.of = of
-        super().__init__(**options)
-
-    def parse(self, text: str) -> tuple[Any, ...]:
-        parts = [part.strip() for part in text.split(",") if part.strip()]
-        if self.of == "words":
-            return tuple(parts)
-        in_pairs = self.of == "pairs"
-        try:
-            groups = [tuple(float(number) for number in part.split(":")) for part in parts]
-            if any(len(group) != 1 + in_pairs for group in groups):
-                raise ValueError
-        except ValueError:
-            raise ValueError(f"give {'pairs, e.g. 0:0, 200:180' if in_pairs else 'numbers, e.g. 0, 0.5, 1'}") from None
-        return tuple(groups) if in_pairs else tuple(number for (number,) in groups)
-
-    def spell(self, value: Iterable[Any]) -> str:
-        if self.of == "words":
-            return ", ".join(value)
-        return ", ".join(":".join(f"{number:g}" for number in np.atleast_1d(group)) for group in value)
+def _parts(text: str, kind: Any) -> Any:
+    """A text as pydantic takes it for a type: tuples taken apart, numbers with a decimal point."""
+    if get_origin(kind) is tuple:
+        parts = re.split(r"[\s×x:,]+" if _is_pair(kind) else ",", text.strip())
+        return [_parts(part, get_args(kind)[0]) for part in parts if part.strip()]
+    text = text.strip()
+    try:
+        return text if kind is str else float(text.replace("−", "-").replace(",", "."))
+    except ValueError:
+        return text
 
 
-class ShapeEdit(TypedEdit):
-    """A pair of whole numbers: `96 × 128`."""
+def _spelled(value: Any, sign: str) -> str:
+    if np.ndim(value):
+        return sign.join(_spelled(part, ":") for part in value)
+    return value if isinstance(value, str) else number_text(value)
 
-    def parse(self, text: str) -> tuple[int, int]:
-        parts = re.split(r"[\s×x,]+", text)
-        if len(parts) != 2 or not all(part.isdecimal() for part in parts):
-            raise ValueError("give two whole numbers: height × width")
-        return int(parts[0]), int(parts[1])
 
-    def spell(self, value: Any) -> str:
-        return f"{value[0]} × {value[1]}"
+def _notation(kind: Any) -> str:
+    """An example of how a tuple is typed."""
+    if get_origin(kind) is not tuple:
+        return ""
+    return f"; give {'96 × 128' if _is_pair(kind) else '0:0, 200:180' if _is_pair(get_args(kind)[0]) else '0, 0.5, 1'}"
 
 
 class MapEdit(FileEdit):

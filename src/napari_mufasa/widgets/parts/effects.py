@@ -8,6 +8,7 @@ from typing import Any
 from magicgui.widgets import ComboBox
 from qtpy.QtCore import Qt, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QListWidget, QListWidgetItem, QWidget
+from superqt.utils import signals_blocked
 
 from napari_mufasa.effects import Effect, catalogue
 from napari_mufasa.errors import MufasaError
@@ -24,32 +25,28 @@ class EffectTicks(QListWidget):
     ticked = Signal(str, bool)
 
     def __init__(self, accessible_name: str, height: int) -> None:
-        super().__init__()
-        self.setMaximumHeight(height)
-        self.setAccessibleName(accessible_name)
+        super().__init__(maximumHeight=height, accessibleName=accessible_name)  # type: ignore[call-arg]
         self.itemChanged.connect(lambda item: self.ticked.emit(item.data(KEY), item.checkState() == TICKED[True]))
 
     def fill(self, effects: Iterable[type[Effect]], on: Iterable[str]) -> None:
         """Show these effects; nobody is told. The one that was selected stays so."""
         selected, on = self.kind, set(on)
-        blocked = self.blockSignals(True)
-        self.clear()
-        for effect in effects:
-            item = QListWidgetItem(effect.title or effect.kind)
-            item.setData(KEY, effect.kind)
-            item.setToolTip(effect.what_it_does)
-            item.setFlags(item.flags() | Qt.ItemFlag.ItemIsUserCheckable)
-            item.setCheckState(TICKED[effect.kind in on])
-            self.addItem(item)
-            if effect.kind == selected:
-                self.setCurrentItem(item)
-        self.blockSignals(blocked)
+        with signals_blocked(self):
+            self.clear()
+            for effect in effects:
+                item = QListWidgetItem(effect.title or effect.kind)
+                item.setData(KEY, effect.kind)
+                item.setToolTip(effect.what_it_does)
+                item.setCheckState(TICKED[effect.kind in on])
+                self.addItem(item)
+                if effect.kind == selected:
+                    self.setCurrentItem(item)
 
     @property
-    def kind(self) -> str | None:
-        """The effect that is selected."""
+    def kind(self) -> str:
+        """The effect that is selected, empty when there is none."""
         item = self.currentItem()
-        return str(item.data(KEY)) if item is not None else None
+        return str(item.data(KEY)) if item is not None else ""
 
     @property
     def rows(self) -> dict[str, Any]:
@@ -123,7 +120,7 @@ class EffectsList(QWidget):
 
     def refresh(self) -> None:
         model = self.session.model
-        on = {effect.kind: effect for effect in model.effects}
+        on = self._on
         self._off = {kind: effect for kind, effect in self._off.items() if kind not in on}
         self.list.fill((type(effect) for effect in (*model.effects, *self._off.values())), on)
         self.kinds.choices = [(e.title or k, k) for k, e in catalogue().items() if e.suits(model) and k not in on]
@@ -138,29 +135,30 @@ class EffectsList(QWidget):
     @property
     def effect(self) -> Any:
         """The effect that is selected, in the model or switched off."""
-        found = {effect.kind: effect for effect in self.session.model.effects} | self._off
-        return found.get(self.list.kind or "")
+        return (self._on | self._off).get(self.list.kind)
+
+    @property
+    def _on(self) -> dict[str, Effect]:
+        return {effect.kind: effect for effect in self.session.model.effects}
 
     def _switch_off(self, kind: str) -> None:
-        model = self.session.model
-        found = {effect.kind: effect for effect in model.effects}
+        found = self._on
         if kind in found:
             self._off[kind] = found.pop(kind)
-            self.session.set_model(model.model_copy(update={"effects": tuple(found.values())}))
+            self.session.set_model(self.session.model.model_copy(update={"effects": tuple(found.values())}))
 
     def _remove(self) -> None:
         kind = self.list.kind
-        if kind is not None:
-            self._switch_off(kind)
-            self._off.pop(kind, None)
-            self.refresh()
+        self._switch_off(kind)
+        self._off.pop(kind, None)
+        self.refresh()
 
     def _show_form(self) -> None:
         effect = self.effect
         if self.form is not None:
             self._layout.removeWidget(self.form.native)
             self.form.native.deleteLater()
-            self.form = None
+        self.form = None
         self.words.say(f"{effect.what_it_is} {effect.what_it_does}" if effect is not None else "")
         if effect is not None:
             self.form = PartForm(type(effect), take=self._take)
@@ -170,9 +168,7 @@ class EffectsList(QWidget):
 
     def _take(self, name: str, value: Any) -> None:
         effect = self.effect
-        changed = type(effect).model_validate(
-            {n: getattr(effect, n) for n in type(effect).model_fields} | {name: value}
-        )
+        changed = type(effect).model_validate(dict(effect) | {name: value})
         if effect.kind in self._off:
             self._off[effect.kind] = changed
             self._show_rows(changed)

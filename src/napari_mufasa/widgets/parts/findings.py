@@ -11,7 +11,7 @@ from qtpy.QtWidgets import QCheckBox, QTextBrowser, QWidget
 
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.report.words import failing_rows, in_text, matching_curve, observable_text, ranking_rows, words_of
-from napari_mufasa.widgets.parts.pieces import RowTable, Words, button, column, row
+from napari_mufasa.widgets.parts.pieces import RowTable, Words, button, column, made, row
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.parts.preferences import preference
 
@@ -78,9 +78,8 @@ class WhatPage(QWidget):
         self.ranking = RowTable(columns, "Effects that could be missing, the best first")
         self.ranking.itemSelectionChanged.connect(self._show_candidate)
         # A text that scrolls by itself: a wrapped label would push the buttons out of sight.
-        self.details = QTextBrowser()
-        self.details.setMinimumHeight(110)
-        self.details.setHtml("Effects that could explain the misfit appear above, the best one first.")
+        hint = "Effects that could explain the misfit appear above, the best one first."
+        self.details = made(QTextBrowser, html=hint, minimumHeight=110)
         self.add_button = button("Add to the model", add, "Fit this effect and put it into the model", enabled=False)
         self.undo_button = button("Undo", undo, "Take the last effect out again", enabled=False)
         tip = "A movie of the completed model, its molecules at the measured places"
@@ -107,7 +106,4 @@ class WhatPage(QWidget):
 
 def preferred_box(text: str, setting: str, tooltip: str) -> QCheckBox:
     """A check box that begins as the user prefers."""
-    made = QCheckBox(text)
-    made.setToolTip(tooltip)
-    made.setChecked(bool(preference(setting)))
-    return made
+    return made(QCheckBox, text, toolTip=tooltip, checked=bool(preference(setting)))

@@ -1,4 +1,4 @@
-"""Forms: magicgui Containers made from a function's signature (`widget_of`) or from a pydantic model (`PartForm`).
+"""Forms: how a step's magicgui widget begins, and magicgui Containers made from a pydantic model (`PartForm`).
 
 Labels, units, ranges, tooltips and choices come from annotations, docstrings and fields; nothing is said twice.
 """
@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, Union, get_args, get_origin
 
-from magicgui.widgets import CheckBox, ComboBox, Container, FunctionGui, Widget
+from magicgui.widgets import CheckBox, ComboBox, Container, FunctionGui, Widget, create_widget
 from napari.viewer import Viewer
-from psygnal import Signal
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from qtpy.QtCore import QObject
@@ -20,39 +20,37 @@ from qtpy.QtWidgets import QComboBox, QLabel, QLineEdit, QPushButton, QSizePolic
 
 from napari_mufasa.model.model import Model
 from napari_mufasa.report.fields import bounds_of, label_of, told
-from napari_mufasa.widgets.parts.edits import ListEdit, MapEdit, NumberEdit, ShapeEdit
+from napari_mufasa.widgets.parts.edits import MapEdit, TypedEdit
 from napari_mufasa.widgets.parts.pieces import Words, column
 from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.turns.session import Session, session_of, unwrapped
 
 EMPTY = {"frame_interval_s": "no dead time", "high_resolution_factor": "exact integrals"}
 ERROR_STYLE = "QLineEdit { border: 1px solid #e0605e; }"
+PREFERRED = {"seed": "steps.seed", "threshold_sigma": "steps.threshold_sigma", "fit": "steps.fit_before_comparing"}
 
 
 # a function's form ----------------------------------------------------------------------------------------
-def widget_of(
-    function: Callable[..., Any], call_button: str | Literal[False], preferences: Mapping[str, str] | None = None
-) -> Callable[..., FunctionGui[..., Any]]:
-    """What makes the widget of a step: its function's parameters, and called like the function.
+def begin(form: FunctionGui[..., Any]) -> None:
+    """The `widget_init` of every step: what the user prefers, our looks; in a dock of napari's it is `shared`."""
+    for name in PREFERRED.keys() & form.asdict():
+        form[name].value = preference(PREFERRED[name], form[name].value)
+    whose: Any = create_widget(annotation=Viewer, gui_only=True)  # napari binds it to the viewer that it is put into
+    form.append(whose)
+    dress(form)
 
-    `preferences`: parameters that begin with a setting of the user.
-    """
-    # magicgui does not look for the names of annotations in the function's own module.
-    function.__annotations__ = typing.get_type_hints(function, include_extras=True)
-    label = call_button
+    def docked(parent: Any) -> None:
+        if parent is not None and whose.value is not None:
+            shared(form, whose.value)
 
-    def make(viewer: Viewer | None = None, call_button: str | Literal[False] = label) -> FunctionGui[..., Any]:
-        form: FunctionGui[..., Any] = FunctionGui(function, call_button=call_button, auto_call=False)
-        for name, setting in (preferences or {}).items():
-            form[name].value = preference(setting)
-        dress(form)
-        if viewer is not None:
-            Shared(form, viewer)
-        return form
+    form.native_parent_changed.connect(docked)
 
-    make.__name__ = make.__qualname__ = f"{function.__name__}_widget"
-    make.__doc__ = f"The widget of `{function.__name__}`; of a viewer, with the movie and the model of all its steps."
-    return make
+
+def shared(form: Any, viewer: Viewer) -> Any:
+    """A form whose movie, dark frames and model are those of a viewer's session, from now on."""
+    if form.native.findChild(Shared) is None:
+        Shared(form, viewer)
+    return form
 
 
 class Shared(QObject):
@@ -101,45 +99,34 @@ class Shared(QObject):
 
 # a pydantic model's form ----------------------------------------------------------------------------------
 class PartForm(Container[Widget]):
-    """All fields of one pydantic model, a widget each; ``edited(name)`` when the user changed one.
+    """The fields of one pydantic model, a widget each.
 
-    An edit is handed to ``take(name, value)``; what that raises is told below the form.
+    What the user edits is handed to ``take(name, value)``; what that raises is told below the form.
     """
 
-    edited = Signal(str)
-
     def __init__(
-        self,
-        model: type[BaseModel],
-        names: tuple[str, ...] | None = None,
-        take: Callable[[str, Any], Any] | None = None,
+        self, model: type[BaseModel], take: Callable[[str, Any], Any], names: tuple[str, ...] | None = None
     ) -> None:
         fields = {n: field for n, field in model.model_fields.items() if names is None or n in names}
         super().__init__(widgets=[widget_for(name, field, model) for name, field in fields.items()])
         dress(self)
         self.problem = Words()
         self.native.layout().addWidget(self.problem)
-        for widget in self:
-            widget.changed.connect(lambda _value, name=widget.name: self.edited.emit(name))  # type: ignore[attr-defined]
-        if take is not None:
-            self.edited.connect(lambda name: self._hand_over(name, take))
+        for name in fields:
+            self[name].changed.connect(partial(self._hand_over, name, take))  # type: ignore[attr-defined]
 
     def show_values(self, values: BaseModel) -> None:
         """Show the fields of an instance; nobody is told."""
-        with self.edited.blocked():
-            for widget in self:
+        for widget in self:
+            with widget.changed.blocked():  # type: ignore[attr-defined]
                 widget.value = getattr(values, widget.name)  # type: ignore[attr-defined]
-                self._mark(widget, False)
+            self._mark(widget, False)
         self.problem.say("")
 
-    def read(self, name: str) -> Any:
-        """What is typed; raises `MufasaError` when it is no value."""
-        return self[name].value  # type: ignore[attr-defined]
-
-    def _hand_over(self, name: str, take: Callable[[str, Any], Any]) -> None:
+    def _hand_over(self, name: str, take: Callable[[str, Any], Any], _typed: Any = None) -> None:
         problem = ""
         try:
-            take(name, self.read(name))
+            take(name, self[name].value)  # type: ignore[attr-defined]
         except ValidationError as error:
             problem = f"{name}: {error.errors()[0]['msg']}"
         except ValueError as error:  # MufasaError is one
@@ -154,30 +141,22 @@ class PartForm(Container[Widget]):
                 line.setStyleSheet(style)
 
 
-def widget_for(name: str, field: FieldInfo, owner: type[BaseModel] | None = None) -> Any:
+def widget_for(name: str, field: FieldInfo, owner: type[BaseModel]) -> Any:
     """The widget that fits a field's type."""
     annotation: Any = field.annotation
     kinds = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
     kind: Any = next(k for k in kinds if k is not type(None))
     bounds, optional = bounds_of(field), type(None) in kinds
     tip = (field.description or label_of(name)) + (f"\nallowed: {bounds}" if bounds else "")
-    shared: dict[str, Any] = {"name": name, "label": told(name, owner), "tooltip": tip}
+    options: dict[str, Any] = {"name": name, "label": told(name, owner), "tooltip": tip}
     if get_origin(kind) is Literal:
-        return ComboBox(choices=get_args(kind), **shared)
+        return ComboBox(choices=get_args(kind), **options)
     if kind is bool:
-        return CheckBox(**shared)
-    if kind in (int, float):
-        shared["tooltip"] += "\nempty: off" if optional else ""
-        empty = EMPTY.get(name, "off" if optional else "")
-        return NumberEdit(whole=kind is int, nullable=optional, empty=empty, **shared)
-    if get_origin(kind) is tuple:
-        first, *_, last = get_args(kind)
-        if last is not Ellipsis:
-            return ShapeEdit(**shared)
-        return ListEdit(of="pairs" if get_origin(first) is tuple else "numbers", **shared)
+        return CheckBox(**options)
     if kind is typing.Any:
-        return MapEdit(**shared)
-    raise TypeError(f"no widget for {name}: {annotation}")
+        return MapEdit(**options)
+    options["tooltip"] += "\nempty: off" if optional else ""
+    return TypedEdit(of=kind, nullable=optional, empty=EMPTY.get(name, "off" if optional else ""), **options)
 
 
 # of a session's model ------------------------------------------------------------------------------------
@@ -188,7 +167,7 @@ class PartEditor(QWidget):
         super().__init__()
         self.session, self.part = session, part
         kind: Any = Model.model_fields[part].annotation
-        self.form = PartForm(kind, names, self._take)
+        self.form = PartForm(kind, self._take, names)
         column(self, self.form.native)
         session.model_changed.connect(self.refresh)
         self.refresh()
@@ -205,17 +184,15 @@ class PartEditor(QWidget):
         if (self.part, name) == ("camera", "type"):
             gain = self.session.model.camera.em_gain
             values["camera.em_gain"] = (gain or 300) if value == "EMCCD" else None
-        origin = self.session.model_origin.removesuffix(" (edited)")
-        self.session.set_model(self.session.model.with_values(values), f"{origin} (edited)")
+        self.session.change_model(self.session.model.with_values(values), "edited")
 
 
-class DerivedValues(QLabel):
+class DerivedValues(Words):
     """What follows from the model, live."""
 
     def __init__(self, session: Session) -> None:
-        super().__init__()
+        super().__init__("…")
         self.session = session
-        self.setWordWrap(True)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         session.model_changed.connect(self.refresh)
         self.refresh()

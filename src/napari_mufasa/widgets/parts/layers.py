@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
 
 
-def like(layer: Layer) -> dict[str, Any]:
-    """The spatial arrangement of a layer, for results that lie on top of it."""
-    return {"scale": tuple(layer.scale), "translate": tuple(layer.translate), "units": layer.units}
+def plane_of(layer: Layer) -> dict[str, Any]:
+    """The place of a result (y, x) that lies on top of a layer."""
+    return {key: tuple(getattr(layer, key))[-2:] for key in ("scale", "translate", "units")}
 
 
 def space_of(movie: Image, first_frame: int = 0) -> dict[str, Any]:
@@ -49,9 +49,8 @@ def movie_layer(
 def points_on(movie: Layer, positions_px: Any, features: Any, name: str, **options: Any) -> Points:
     """A layer of molecules (y, x) in pixels as rings of about a PSF, to lie on top of `movie`."""
     positions = np.asarray(positions_px, dtype=float).reshape(-1, 2)
-    where = {key: tuple(value)[-2:] for key, value in like(movie).items()}
     metadata = {METADATA_KEY: options.pop("ours", {})}
-    return Points(positions, features=features, name=name, metadata=metadata, **(where | options))
+    return Points(positions, features=features, name=name, metadata=metadata, **(plane_of(movie) | options))
 
 
 def ours(layer: Layer) -> dict[str, Any]:
@@ -63,21 +62,16 @@ def ours(layer: Layer) -> dict[str, Any]:
 def added(viewer: Viewer, layers: Iterable[Layer]) -> Generator[None, None, None]:
     """Add layers to a viewer one after the other; what is drawn of each comes a turn later."""
     for layer in layers:
-        visible, layer.visible = layer.visible, False
-        yield from added_hidden(viewer, layer, visible)
-
-
-def added_hidden(viewer: Viewer, layer: Layer, shown: bool) -> Generator[None, None, None]:
-    """Add a layer that is not visible; show it then, if it is to be. One that was made so has nothing to draw yet."""
-    if layer.ndim == 3:
-        yield from room_for(viewer, layer.data.shape, layer.scale)
-    with gently(viewer):
-        viewer.add_layer(layer)
-    if isinstance(layer, Points):
-        without_labels(viewer, layer)
-    if shown:
-        yield from shown_later(viewer, layer)
-    yield
+        shown, layer.visible = layer.visible, False
+        if layer.ndim == 3:
+            yield from room_for(viewer, layer.data.shape, layer.scale)
+        with gently(viewer):
+            viewer.add_layer(layer)
+        if isinstance(layer, Points):
+            without_labels(viewer, layer)
+        if shown:
+            yield from shown_later(viewer, layer)
+        yield
 
 
 class OwnLayers:
@@ -104,7 +98,7 @@ class OwnLayers:
             if isinstance(new, Points):
                 without_labels(self.viewer, new)
             return True
-        if layer.data.shape != new.data.shape or not np.array_equal(layer.data, new.data):
+        if not np.array_equal(layer.data, new.data):
             layer.data = new.data
         for key in ("name", "scale", "translate", "metadata"):
             setattr(layer, key, getattr(new, key))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.model.presets import PRESETS, preset
 from napari_mufasa.widgets.parts.pieces import Words
-from napari_mufasa.widgets.turns.jobs import report_error
+from napari_mufasa.widgets.turns.jobs import errors_reported
 from napari_mufasa.widgets.turns.session import Session
 
 FROM_FILE = "model.json …"
@@ -41,8 +41,8 @@ class ModelEdit(ValuedContainerWidget[Any]):
         self.origin = Words()
         self.native.layout().addWidget(self.origin)
         self.source.native.setAccessibleName("Model")
-        self.source.native.activated.connect(lambda _index: self._reporting(self._on_chosen))
-        self.save_button.changed.connect(lambda: self._reporting(self._save))
+        self.source.native.activated.connect(self._on_chosen)
+        self.save_button.changed.connect(self._save)
         self.follow(session or self.session)
         if value is not Undefined:
             self.value = value
@@ -75,31 +75,26 @@ class ModelEdit(ValuedContainerWidget[Any]):
         super().reset_choices()
         self._show()
 
-    def _on_chosen(self) -> None:
+    def _on_chosen(self, _index: int) -> None:
         name = self.source.value
-        if name == FROM_FILE:
-            path, _ = QFileDialog.getOpenFileName(self.native, "Believed model", filter="Model (*.json)")
-            if path:
-                self.set_value(Path(path))
-        elif name == FROM_LAYER and self.session.has_viewer:
-            self.session.take_model_of_movie()
-        else:
-            self.set_value(None if name == FROM_LAYER else name)
+        with errors_reported():
+            if name == FROM_FILE:
+                path, _ = QFileDialog.getOpenFileName(self.native, "Believed model", filter="Model (*.json)")
+                if path:
+                    self.set_value(Path(path))
+            elif name == FROM_LAYER and self.session.has_viewer:
+                self.session.take_model_of_movie()
+            else:
+                self.set_value(None if name == FROM_LAYER else name)
         self._show()
 
     def _save(self) -> None:
-        if self.value is None:
-            raise MufasaError("no model is chosen: choose one first")
-        path, _ = QFileDialog.getSaveFileName(self.native, "Save model", "model.json", filter="Model (*.json)")
-        if path:
-            self.value.to_json(path)
-
-    def _reporting(self, action: Callable[[], Any]) -> None:
-        try:
-            action()
-        except MufasaError as error:
-            report_error(error)
-            self._show()
+        with errors_reported():
+            if self.value is None:
+                raise MufasaError("no model is chosen: choose one first")
+            path, _ = QFileDialog.getSaveFileName(self.native, "Save model", "model.json", filter="Model (*.json)")
+            if path:
+                self.value.to_json(path)
 
     def _leave(self, *_: Any) -> None:
         with contextlib.suppress(TypeError, RuntimeError):  # already gone

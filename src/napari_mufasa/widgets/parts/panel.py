@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 from magicgui.widgets import FunctionGui
 from napari.viewer import Viewer
 from qtpy.QtWidgets import QFileDialog, QPushButton, QVBoxLayout, QWidget
 
-from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.layers import Measurement, measurement_of
-from napari_mufasa.widgets.parts.doubts import Doubts
+from napari_mufasa.widgets.parts.forms import shared
 from napari_mufasa.widgets.parts.pieces import Words, button, shortcut
-from napari_mufasa.widgets.turns.jobs import RunBar, report_error
+from napari_mufasa.widgets.turns.jobs import RunBar, errors_reported
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
-from napari_mufasa.widgets.turns.steering import steered
 
 
 class Panel(QWidget):
@@ -33,7 +31,6 @@ class Panel(QWidget):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__()
-        self._doubts: Doubts | None = None
         self.viewer = unwrapped(viewer)
         self.session = session_of(self.viewer)
         self.column = QVBoxLayout(self)
@@ -46,7 +43,7 @@ class Panel(QWidget):
         shortcut(self, "Ctrl+Return", self.run_bar.run_button.click)
         shortcut(self, "Escape", self.run_bar.cancel)
         factory = type(self).form_factory
-        self.form: Any = factory(self.viewer, call_button=False) if factory is not None else None
+        self.form: Any = shared(factory(call_button=False), self.viewer) if factory is not None else None
         for name in self.hidden:
             if self.form is not None and name in self.form.asdict():
                 self.form[name].visible = False
@@ -63,20 +60,10 @@ class Panel(QWidget):
         if last is not None:
             self.column.addWidget(last, 1)
 
-    def doubting(self) -> Doubts:
-        """A line that warns where movie and model cannot belong together; only for panels that show it."""
-        self._doubts = Doubts(self.session, self)
-        return self._doubts
-
-    def showEvent(self, event: Any) -> None:
-        super().showEvent(event)
-        if self._doubts is not None:
-            self._doubts.look_if_stale()
-
     def prepare(self) -> None:
         """Check the settings and start the work; the step's function on the form's values, unless it is overridden."""
         if self.needs_counts:
-            self.measurement().recorded()
+            self.session.measurement().recorded()
         self.call(self.running, self.take)
 
     def take(self, result: Any) -> Any:
@@ -85,30 +72,16 @@ class Panel(QWidget):
     def call(self, title: str, done: Any, **changes: Any) -> None:
         """Run the step's function in the background on the form's values."""
         values, function = self.form.asdict() | changes, self.form.__wrapped__
-        self.start(title, lambda: function(**values), done)
-
-    def start(self, title: str, work: Callable[[], Any], done: Any) -> None:
-        """Run `work`, which may ask `steering()`, in the background; then ``done(result)``."""
-
-        def run(progress: Any, cancel: Any) -> Any:
-            with steered(progress, cancel):
-                return work()
-
-        self.run_bar.start(title, run, done)
+        self.run_bar.start(title, lambda: function(**values), done)
 
     def guarded(self, action: Callable[[], Any]) -> None:
         """Do something at once; a `MufasaError` becomes a notification and a line in the panel."""
-        try:
+        with errors_reported(partial(self.run_bar.say, error=True)):
             action()
-        except MufasaError as error:
-            self.run_bar.say(report_error(error), error=True)
-
-    def measurement(self) -> Measurement:
-        """Movie and dark frames of the form; raises `MufasaError` that says what to choose."""
-        return measurement_of(*(self.form.asdict().get(name) for name in ("movie", "dark", "dark_frames")))
 
     def saver(self, text: str, caption: str, save: Callable[[str], str], name: str = "") -> QPushButton:
-        """A button that asks for a file to write, as `name`, or else a folder; ``save(path)`` says what it wrote."""
+        """A button, for when there are results, that asks for a file to write, as `name`, or else a folder;
+        ``save(path)`` says what it wrote."""
 
         def ask() -> None:
             ask_for_file, ask_for_folder = QFileDialog.getSaveFileName, QFileDialog.getExistingDirectory

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from qtpy.QtCore import QObject, Qt, QTimer
 from qtpy.QtGui import QIcon, QKeySequence, QShortcut  # type: ignore[attr-defined]
@@ -22,7 +22,10 @@ from qtpy.QtWidgets import (
     QWidget,
 )  # fmt: skip
 from superqt import QCollapsible
+from superqt.utils import signals_blocked
 
+T = TypeVar("T")
+Layout = TypeVar("Layout", bound=QBoxLayout)
 KEY = Qt.ItemDataRole.UserRole
 ERROR_STYLE = "QLabel { color: #e0605e; }"
 
@@ -44,14 +47,13 @@ class RowTable(QTableWidget):
     """A table of rows to choose one from, each with a key; the first column takes the room."""
 
     def __init__(self, headers: list[str], accessible_name: str) -> None:
-        super().__init__(0, len(headers))
+        super().__init__(
+            0, len(headers), accessibleName=accessible_name, minimumHeight=120,
+            selectionBehavior=QTableWidget.SelectionBehavior.SelectRows,
+            selectionMode=QTableWidget.SelectionMode.SingleSelection,
+            editTriggers=QTableWidget.EditTrigger.NoEditTriggers,
+        )  # type: ignore[call-overload]  # fmt: skip
         self.setHorizontalHeaderLabels(headers)
-        self.setAccessibleName(accessible_name)
-        self.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
-        self.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
-        self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-        self.setTextElideMode(Qt.TextElideMode.ElideRight)
-        self.setMinimumHeight(120)
         rows: Any = self.verticalHeader()
         rows.setVisible(False)
         rows.setDefaultSectionSize(24)
@@ -61,20 +63,18 @@ class RowTable(QTableWidget):
 
     def fill(self, rows: Iterable[tuple[str, list[str], str]]) -> None:
         """Show these rows, each (key, cells, tooltip), and choose the first; nobody is told."""
-        blocked = self.blockSignals(True)
-        self.setRowCount(0)
-        for row, (key, cells, tip) in enumerate(rows):
-            self.insertRow(row)
-            for column, text in enumerate(cells):
-                item = QTableWidgetItem(text)
-                item.setToolTip(tip)
-                item.setData(KEY, key)
-                if column:
-                    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                self.setItem(row, column, item)
-        if self.rowCount():
+        with signals_blocked(self):
+            self.setRowCount(0)
+            for row, (key, cells, tip) in enumerate(rows):
+                self.insertRow(row)
+                for column, text in enumerate(cells):
+                    item = QTableWidgetItem(text)
+                    item.setToolTip(tip)
+                    item.setData(KEY, key)
+                    if column:
+                        item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                    self.setItem(row, column, item)
             self.selectRow(0)
-        self.blockSignals(blocked)
 
     @property
     def key(self) -> str:
@@ -83,20 +83,21 @@ class RowTable(QTableWidget):
         return str(items[0].data(KEY)) if items else ""
 
 
+def made(kind: Callable[..., T], *args: Any, **properties: Any) -> T:
+    """An object of Qt's with properties and signals by name, as its Python bindings take them and their stubs do not
+    know."""
+    return kind(*args, **properties)
+
+
 def shortcut(owner: QWidget, keys: str, action: Callable[[], Any]) -> None:
     """A key that works while the keyboard is anywhere within `owner`."""
-    made = QShortcut(QKeySequence(keys), owner)
-    made.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-    made.activated.connect(action)
+    within = Qt.ShortcutContext.WidgetWithChildrenShortcut
+    made(QShortcut, QKeySequence(keys), owner, context=within, activated=action)
 
 
 def timer(owner: QObject, wait_ms: int, action: Callable[[], Any]) -> QTimer:
     """Does something once, `wait_ms` after it was last started."""
-    made = QTimer(owner)
-    made.setSingleShot(True)
-    made.setInterval(wait_ms)
-    made.timeout.connect(action)
-    return made
+    return made(QTimer, owner, singleShot=True, interval=wait_ms, timeout=action)
 
 
 def takes_the_rest(widget: QWidget, at_least: int) -> None:
@@ -108,10 +109,8 @@ def takes_the_rest(widget: QWidget, at_least: int) -> None:
 class Words(QLabel):
     """Text that is broken where the dock ends, and takes no room while there is none."""
 
-    def __init__(self, text: str = "", error: bool = False) -> None:
-        super().__init__(text)
-        self.setWordWrap(True)
-        self.setStyleSheet(ERROR_STYLE if error else "")
+    def __init__(self, text: str = "") -> None:
+        super().__init__(text, wordWrap=True)  # type: ignore[call-overload]
         if not text:
             self.hide()
 
@@ -132,35 +131,26 @@ def into_view(widget: QWidget) -> None:
 
 
 def button(text: str, action: Callable[[], Any], tooltip: str = "", enabled: bool = True) -> QPushButton:
-    made = QPushButton(text)
-    made.setToolTip(tooltip)
-    made.clicked.connect(lambda: action())
-    made.setEnabled(enabled)
-    return made
+    return made(QPushButton, text, clicked=lambda: action(), toolTip=tooltip, enabled=enabled)
 
 
 def column(owner: QWidget, *items: QWidget, shares: Sequence[int] = (), margins: Any = (0, 0, 0, 0)) -> QVBoxLayout:
     """Put widgets into `owner`, one below the other; `shares` of the room that is left go to the first of them."""
-    layout = QVBoxLayout(owner)
-    _fill(layout, items, shares, margins)
-    return layout
+    return _fill(QVBoxLayout(owner), items, shares, margins)
 
 
 def row(*items: QWidget, shares: Sequence[int] = (), spacing: int = 6) -> QWidget:
     """A widget with others side by side."""
-    made = QWidget()
-    layout = QHBoxLayout(made)
-    layout.setSpacing(spacing)
-    _fill(layout, items, shares, (0, 0, 0, 0))
-    return made
+    owner = QWidget()
+    _fill(made(QHBoxLayout, owner, spacing=spacing), items, shares, (0, 0, 0, 0))
+    return owner
 
 
-def _fill(layout: QBoxLayout, items: Sequence[QWidget], shares: Sequence[int], margins: Any) -> None:
+def _fill(layout: Layout, items: Sequence[QWidget], shares: Sequence[int], margins: Any) -> Layout:
     layout.setContentsMargins(*margins)
-    for item in items:
-        layout.addWidget(item)
-    for number, share in enumerate(shares):
-        layout.setStretch(number, share)
+    for number, item in enumerate(items):
+        layout.addWidget(item, shares[number] if number < len(shares) else 0)
+    return layout
 
 
 def section(title: str, content: QWidget, is_open: bool = False) -> QCollapsible:

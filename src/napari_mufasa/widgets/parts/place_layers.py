@@ -20,12 +20,11 @@ GAP_PX = 4
 
 def map_of(name: str, places: Places, movie: Image, first_frame: int = 0) -> Image:
     """The misfit by place as an image on top of the movie, one for all frames or one for each stretch of them."""
-    z = _stretches(places.maps[name])
-    long, step = places.n_frames / len(z), float(movie.scale[0]) if movie.ndim == 3 else 1.0
-    start = float(movie.translate[0]) if movie.ndim == 3 else 0.0
+    z, space = _stretches(places.maps[name]), space_of(movie, first_frame)
+    long, (step, *pixel), start = places.n_frames / len(z), space["scale"], space["translate"][0]
     return Image(
-        z, name=f"where: {WORDS[name]}", scale=(long * step, *movie.scale[-2:]), units=("pixel", *movie.units[-2:]),
-        translate=(start + (first_frame + (long - 1) / 2) * step, *_at(places, movie)),
+        z, name=f"where: {WORDS[name]}", scale=(long * step, *pixel), units=space["units"],
+        translate=(start + (long - 1) / 2 * step, *_at(places, movie)),
         colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN), metadata={METADATA_KEY: {"role": PLACE}},
     )  # fmt: skip
 

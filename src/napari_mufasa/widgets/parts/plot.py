@@ -15,8 +15,8 @@ from qtpy.QtGui import QImage, QPixmap
 from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QToolButton, QWidget
 
 from napari_mufasa.report.offscreen import Draw, rgba, with_figure
-from napari_mufasa.widgets.parts.pieces import column, row
-from napari_mufasa.widgets.turns.jobs import Latest
+from napari_mufasa.widgets.parts.pieces import column, made, row
+from napari_mufasa.widgets.turns.jobs import WhenSeen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,26 +37,20 @@ class PlotCanvas(QWidget):
         super().__init__()
         self._viewer = viewer
         self._draw: Draw | None = None
-        self._stale = False
         self.data: pd.DataFrame | None = None
-        self.title = QLabel()
-        self.title.setWordWrap(True)
-        self.save_button = QToolButton()
-        self.save_button.setText("Save …")
-        self.save_button.setToolTip("Save the plot (PNG, SVG, PDF) or its data (CSV)")
-        self.save_button.clicked.connect(self._ask_and_save)
-        self.picture = QLabel(hint)  # or the hint, while there is none
-        self.picture.setWordWrap(True)
-        self.picture.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.picture.setScaledContents(True)
+        self.title = made(QLabel, wordWrap=True)
+        tip = "Save the plot (PNG, SVG, PDF) or its data (CSV)"
+        self.save_button = made(QToolButton, text="Save …", toolTip=tip, clicked=self._ask_and_save, visible=False)
+        self.picture = made(  # or the hint, while there is none
+            QLabel, hint, wordWrap=True, scaledContents=True, minimumHeight=height - 50,
+            alignment=Qt.AlignmentFlag.AlignCenter,
+        )  # fmt: skip
         self.picture.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
-        self.picture.setMinimumHeight(height - 50)
         column(self, row(self.title, self.save_button, shares=(1,)), self.picture, shares=(0, 1)).setSpacing(2)
         # Stacked docks would squash a plot to a sliver.
         self.setMinimumHeight(height)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.save_button.hide()
-        self._latest = Latest(60, self)
+        self._latest = WhenSeen(60, self, self._rendering, self)
         self._latest.arrived.connect(self._on_drawn)
         viewer.events.theme.connect(self._on_theme)
 
@@ -65,12 +59,7 @@ class PlotCanvas(QWidget):
 
     def resizeEvent(self, event: Any) -> None:
         super().resizeEvent(event)
-        self._paint()
-
-    def showEvent(self, event: Any) -> None:
-        super().showEvent(event)
-        if self._stale:
-            self._paint()
+        self._latest.renew()
 
     @property
     def drawn(self) -> bool:
@@ -87,7 +76,7 @@ class PlotCanvas(QWidget):
         self._draw, self.data = function, data
         self.title.setText(title)
         self.save_button.show()
-        self._paint()
+        self._latest.renew()
 
     def clear(self, hint: str) -> None:
         """Show a hint instead of a plot."""
@@ -107,14 +96,11 @@ class PlotCanvas(QWidget):
             width, height, _ = self._size()
             with_figure(self._draw, (width, height), DPI, *self._theme(), then=lambda f: f.savefig(path, dpi=2 * DPI))
 
-    def _paint(self) -> None:
+    def _rendering(self) -> Any:
         if self._draw is None:
-            return
-        self._stale = not self.isVisible()
-        if self._stale:
-            return
+            return None
         function, size, theme = self._draw, self._size(), self._theme()
-        self._latest.request(lambda _cancel: _render(function, size, theme))
+        return lambda _cancel: _render(function, size, theme)
 
     def _size(self) -> tuple[int, int, float]:
         """Width and height in pixels of the screen, and how many of them are one of Qt's."""
@@ -139,7 +125,7 @@ class PlotCanvas(QWidget):
 
     def _on_theme(self, _event: Any = None) -> None:
         try:
-            self._paint()
+            self._latest.renew()
         except RuntimeError:  # the panel is gone, the viewer is not
             self._draw = None
 

@@ -1,30 +1,16 @@
-"""What the user prefers: napari's Preferences, or the defaults of the manifest where napari has none for plugins."""
+"""What the user prefers, in napari's Preferences."""
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
-PLUGIN = "napari-mufasa"
 
-
-def preference(name: str) -> Any:
-    """A setting by "group.name", as declared in napari.yaml, for example ``preference("steps.seed")``."""
+def preference(name: str, default: Any = True) -> Any:
+    """A setting by "group.name", as declared in napari.yaml; the default where napari has no settings for plugins."""
     group, key = name.split(".")
     try:
         from napari.settings import get_plugin_settings
 
-        return getattr(getattr(get_plugin_settings(PLUGIN), group), key)
+        return getattr(getattr(get_plugin_settings("napari-mufasa"), group), key)
     except (ImportError, KeyError, AttributeError):  # older napari, or the plugin is used without its manifest
-        return _defaults()[group][key]
-
-
-@cache
-def _defaults() -> dict[str, dict[str, Any]]:
-    from importlib.resources import files
-
-    import yaml
-
-    manifest = yaml.safe_load((files("napari_mufasa") / "napari.yaml").read_text(encoding="utf-8"))
-    groups = manifest["contributions"]["configurations"]
-    return {name: {key: item["default"] for key, item in group["properties"].items()} for name, group in groups.items()}
+        return default

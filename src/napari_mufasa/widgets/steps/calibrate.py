@@ -1,8 +1,8 @@
 """Calibrate (step Camera): the camera of every later step, typed in or measured on the movie."""
 
-from __future__ import annotations
+from typing import Annotated
 
-from typing import Annotated, Any
+from magicgui import magic_factory
 
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.measure import CameraType
@@ -10,11 +10,11 @@ from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.propose import Proposal
 from napari_mufasa.report.lines import calibration_line, fit_line, proposal_lines
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.widgets.parts.edits import NumberEdit
-from napari_mufasa.widgets.parts.forms import PartEditor, widget_of
+from napari_mufasa.widgets.parts.doubts import Doubts
+from napari_mufasa.widgets.parts.forms import PartEditor, begin
 from napari_mufasa.widgets.parts.model_edit import ModelEdit
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
+from napari_mufasa.widgets.parts.parameters import NUMBER, Dark, DarkFrames, Efficiency, ElectronsPerAdu, EmGain, Movie
 from napari_mufasa.widgets.parts.pieces import Words, button, into_view, section, timer
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.propose import propose
@@ -22,7 +22,6 @@ from napari_mufasa.widgets.turns.session import Session
 from napari_mufasa.widgets.turns.steering import steering
 
 TIMING = ("frame_length_s", "frame_interval_s", "pixel_size_nm")
-NUMBER: dict[str, Any] = {"widget_type": NumberEdit, "min": 0}
 
 
 def calibrate(
@@ -30,11 +29,9 @@ def calibrate(
     dark: Dark = None,
     dark_frames: DarkFrames = 0,
     camera_type: Annotated[CameraType, {"label": "Type"}] = "EMCCD",
-    em_gain: Annotated[float | None, NUMBER | {"label": "EM gain", "min": 1, "empty": "300 for an EMCCD"}] = None,
-    electrons_per_adu: Annotated[
-        float | None, NUMBER | {"label": "Electrons per count", "empty": "from the EM gain"}
-    ] = None,
-    quantum_efficiency: Annotated[float, NUMBER | {"label": "Quantum efficiency", "max": 1}] = 0.9,
+    em_gain: EmGain = None,
+    electrons_per_adu: ElectronsPerAdu = None,
+    quantum_efficiency: Efficiency = 0.9,
     baseline_adu: Annotated[float | None, NUMBER | {"label": "Baseline (ADU)", "empty": "measured"}] = None,
     read_noise_adu: Annotated[float | None, NUMBER | {"label": "Read noise (ADU)", "empty": "measured"}] = None,
 ) -> Calibration:
@@ -42,9 +39,7 @@ def calibrate(
 
     Parameters:
         camera_type: An EM register doubles the variance
-        em_gain: If it is known
         electrons_per_adu: Photon transfer measures only its ratio to the EM gain: give one of them
-        quantum_efficiency: Photoelectrons per photon, as stated
         baseline_adu: Instead of dark frames
         read_noise_adu: Instead of dark frames
 
@@ -62,12 +57,12 @@ def calibrate(
     )  # fmt: skip
 
 
-calibrate_widget = widget_of(calibrate, "Measure")
+calibrate_widget = magic_factory(calibrate, call_button="Measure", widget_init=begin)
 
 
 def believe(session: Session, found: Calibration) -> str:
     """What was measured is the camera from now on; says what it is."""
-    session.set_camera(found.camera, session.model_origin.removesuffix(" (measured)") + " (measured)")
+    session.change_model(session.model.model_copy(update={"camera": found.camera}), "measured")
     return calibration_line(found)
 
 
@@ -88,7 +83,7 @@ class CameraPanel(Panel):
             "Propose a model from this movie", lambda: self.guarded(self.propose),
             "Metadata, camera, PSF width, background, molecules and their light: a model to start from",
         )  # fmt: skip
-        self.add(self.source.native, self.doubting(), self.propose_button, self.editor)
+        self.add(self.source.native, Doubts(self.session, self), self.propose_button, self.editor)
         self.add(section("Timing and pixels", timing))
         self.add(Words("<b>Measure it</b> where its values are not known: steady light, dark frames"))
         self.add(self.form.native, self.run_bar, self.result, self.picture)
@@ -102,11 +97,11 @@ class CameraPanel(Panel):
 
     def propose(self) -> None:
         """Propose a whole model from the movie, with what is given of its camera."""
-        self.measurement().recorded()
+        self.session.measurement().recorded()
         asked = self.form.asdict()
         names = ("movie", "dark", "dark_frames", "em_gain", "electrons_per_adu", "quantum_efficiency")
         given = {name: asked[name] for name in names}
-        self.start("Proposing a model", lambda: propose(**given), self.take_proposal)
+        self.run_bar.start("Proposing a model", lambda: propose(**given), self.take_proposal)
         into_view(self.run_bar)
 
     def take_proposal(self, found: Proposal) -> None:

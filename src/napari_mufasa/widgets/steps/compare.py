@@ -1,21 +1,20 @@
 """Compare: how far the model's emission is from the measured one, beside its floor and two simpler models."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Annotated, Any
 
+from magicgui import magic_factory
 from magicgui.widgets import ComboBox
 from napari.layers import Layer
 from qtpy.QtWidgets import QWidget
 
-from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.lines import comparison_table
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.widgets.parts.forms import dress_one, widget_of
+from napari_mufasa.widgets.parts.doubts import Doubts
+from napari_mufasa.widgets.parts.forms import begin, dress_one
 from napari_mufasa.widgets.parts.layers import ours
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
+from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie, Seed
 from napari_mufasa.widgets.parts.pieces import Tabs, Words, button, column
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.traces import molecules_on
@@ -61,7 +60,7 @@ def compare(
     return [molecules_on(movie, found.measured, comparison=found)]
 
 
-compare_widget = widget_of(compare, "Compare", SEED | {"fit": "steps.fit_before_comparing"})
+compare_widget = magic_factory(compare, call_button="Compare", widget_init=begin)
 
 
 class ComparePanel(Panel):
@@ -91,7 +90,9 @@ class ComparePanel(Panel):
         )  # fmt: skip
         self.use_button.hide()
         self.export_button = self.saver("Export report …", "Export comparison", self.export, "report.json")
-        self.add(self.form.native, self.doubting(), self.run_bar, self.result, self.live_line, last=self.tabs)
+        self.add(
+            self.form.native, Doubts(self.session, self), self.run_bar, self.result, self.live_line, last=self.tabs
+        )
         self.add(self.use_button, self.export_button)
         live_of(self.session).changed.connect(self._show_live)
 
@@ -140,8 +141,7 @@ class ComparePanel(Panel):
         """Write report.json (docs/files.md)."""
         from napari_mufasa.files.whole import write_json
 
-        if self.comparison is None:
-            raise MufasaError("nothing was compared yet: press Compare first")
+        assert self.comparison is not None
         write_json(path, self.comparison.report())
         return path
 

@@ -1,10 +1,9 @@
 """The Data step: which layer is the movie, where the dark frames are, what is known about them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator
 from typing import Any
 
+from magicgui import magic_factory
 from magicgui.widgets import ComboBox
 from napari.layers import Layer
 from qtpy.QtWidgets import QFileDialog
@@ -16,17 +15,18 @@ from napari_mufasa.files.layers import (
     Measurement,
     instrument_of,
     measurement_of,
-    movie_layer,
     movie_space,
     pixel_size_um,
+    read_layers,
     stack_of,
     stored,
 )
 from napari_mufasa.propose.written import as_written, values_written
 from napari_mufasa.report.lines import instrument_line, movie_facts
 from napari_mufasa.samples import SAMPLES
-from napari_mufasa.widgets.parts.forms import dress_one, widget_of
-from napari_mufasa.widgets.parts.layers import added_hidden
+from napari_mufasa.widgets.parts.doubts import Doubts
+from napari_mufasa.widgets.parts.forms import begin, dress_one
+from napari_mufasa.widgets.parts.layers import added
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
 from napari_mufasa.widgets.parts.pieces import Words, button, row
@@ -43,7 +43,7 @@ class DataPanel(Panel):
 
     words = "Open a movie, say which layer it is and where its dark frames are."
     run_label = "Open movie …"
-    form_factory = widget_of(measurement, False)
+    form_factory = magic_factory(measurement, call_button=False, widget_init=begin)
     hidden = ()
 
     def build(self) -> None:
@@ -52,15 +52,24 @@ class DataPanel(Panel):
         self.sample_button = button("Open sample", lambda: self.open_sample(self.sample.value))
         self.facts = Words("No movie yet.")
         self.use_model = button(
-            "Believe the model in the metadata", self._use_model, "Take over the model that travelled with the movie"
-        )
+            "Believe the model in the metadata", self.session.take_model_of_movie,
+            "Take over the model that travelled with the movie",
+        )  # fmt: skip
         self.use_scale = button("", self._use_scale)
         self.use_instrument = button(
             "Believe what the file says", self._use_instrument,
             "Take pixel size, exposure and EM gain from the metadata into the model; each can be changed there",
         )  # fmt: skip
         samples = row(self.sample.native, self.sample_button)
-        self.add(self.run_bar, samples, self.form.native, self.facts, self.doubting(), self.use_model, self.use_scale)
+        self.add(
+            self.run_bar,
+            samples,
+            self.form.native,
+            self.facts,
+            Doubts(self.session, self),
+            self.use_model,
+            self.use_scale,
+        )
         self.add(self.use_instrument)
         self.column.addStretch(1)
         self.session.movie_changed.connect(self.refresh)
@@ -76,34 +85,29 @@ class DataPanel(Panel):
 
     def open_movie(self, path: str) -> None:
         """Open any movie, ours or foreign, lazily; in the background, for a header may be long."""
-        self._open("Opening", lambda: [movie_layer(path)])
+        self._open("Opening", lambda: read_layers(path))
 
     def open_sample(self, key: str) -> None:
         """Open one of the plugin's samples: it is simulated in the background."""
         self._open("Simulating the sample", SAMPLES[key][1])
 
     def _open(self, title: str, read: Callable[[], list[LayerData]]) -> None:
-        def made() -> list[tuple[Layer, bool]]:
-            """Layers, not visible, and whether they are to be."""
-            hidden = {"visible": False}
-            return [(Layer.create(data, o | hidden, kind), o.get("visible", True)) for data, o, kind in read()]
+        self.run_bar.start(title, lambda: [Layer.create(*data) for data in read()], self.take)
 
-        self.start(title, made, self.take)
-
-    def take(self, made: list[tuple[Any, bool]]) -> Generator[None, None, None]:
-        for layer, shown in made:
-            yield from added_hidden(self.viewer, layer, shown)
-        self.session.set_movie(next(layer for layer, _ in made if stored(layer, "role") != "dark frames"))
+    def take(self, layers: list[Any]) -> Generator[None, None, None]:
+        yield from added(self.viewer, layers)
+        movie = next(layer for layer in layers if stored(layer, "role") != "dark frames")
+        self.session.set_movie(movie)
         yield
-        self._use_model()
+        if model_in(movie) is not None:
+            self.session.take_model_of_movie()
         yield
         self.viewer.dims.set_point(0, 0)
 
     def refresh(self) -> None:
         layer, model = self.session.movie_layer, self.session.model
-        self.use_model.hide()
-        self.use_scale.hide()
-        self.use_instrument.hide()
+        for offer in (self.use_model, self.use_scale, self.use_instrument):
+            offer.hide()
         if layer is None:
             self.facts.say("No movie yet.")
             return
@@ -127,22 +131,13 @@ class DataPanel(Panel):
         self.facts.say(movie_facts(layer.name, shape, layer.dtype, size_um, origin))
 
     def _use_scale(self) -> None:
-        layer = self.session.movie_layer
-        if layer is not None and layer.ndim == 3:
-            space = movie_space(self.session.model.acquisition.pixel_size_nm)
-            layer.scale, layer.units = space["scale"], space["units"]
-            self.viewer.reset_view()
+        layer: Any = self.session.movie_layer
+        space = movie_space(self.session.model.acquisition.pixel_size_nm)
+        layer.scale, layer.units = space["scale"][-layer.ndim :], space["units"][-layer.ndim :]
+        self.viewer.reset_view()
         self.refresh()
 
     def _use_instrument(self) -> None:
-        layer = self.session.movie_layer
-        if layer is not None:
-            model = as_written(self.session.model, instrument_of(layer))
-            self.session.set_model(model, f"{self.session.model_origin}, with the metadata of {layer.name}")
-        self.refresh()
-
-    def _use_model(self) -> None:
-        layer = self.session.movie_layer
-        if layer is not None and model_in(layer) is not None:
-            self.session.take_model_of_movie()
-        self.refresh()
+        layer: Any = self.session.movie_layer
+        model = as_written(self.session.model, instrument_of(layer))
+        self.session.set_model(model, f"{self.session.model_origin}, with the metadata of {layer.name}")

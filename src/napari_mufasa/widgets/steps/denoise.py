@@ -1,10 +1,9 @@
 """Denoise: counts in, photons out."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from typing import Annotated, Any
 
+from magicgui import magic_factory
 from magicgui.widgets import ComboBox
 from napari.layers import Layer
 
@@ -13,7 +12,7 @@ from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.model.cameras import CAMERAS
 from napari_mufasa.model.setup import Camera
 from napari_mufasa.widgets.parts.denoise_preview import PreviewBox
-from napari_mufasa.widgets.parts.forms import PartEditor, dress, widget_of
+from napari_mufasa.widgets.parts.forms import PartEditor, begin, dress
 from napari_mufasa.widgets.parts.layers import added, movie_layer, space_of
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie
@@ -76,7 +75,7 @@ def denoise(
     return layers
 
 
-denoise_widget = widget_of(denoise, "Denoise")
+denoise_widget = magic_factory(denoise, call_button="Denoise", widget_init=begin)
 
 
 class DenoisePanel(Panel):
@@ -117,12 +116,12 @@ class DenoisePanel(Panel):
     def _on_preset(self) -> None:
         name: Any = self.preset.value
         if name == MEASURED:
-            self.measurement().recorded()
+            self.session.measurement().recorded()
             chosen = {key: self.form[key].value for key in ("movie", "dark", "dark_frames")}
             chosen["camera_type"] = self.session.model.camera.type
             say = self.run_bar.say
-            self.start(
+            self.run_bar.start(
                 "Measuring the camera", lambda: calibrate(**chosen), lambda found: say(believe(self.session, found))
             )
         elif name in CAMERAS:
-            self.session.set_camera(Camera(**CAMERAS[name]))
+            self.session.set_model(self.session.model.model_copy(update={"camera": Camera(**CAMERAS[name])}))

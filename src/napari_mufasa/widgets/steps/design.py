@@ -1,13 +1,12 @@
 """Design: what a model predicts before any movie is taken."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Annotated, Any
 
 import pandas as pd
-from magicgui import magicgui
-from qtpy.QtWidgets import QComboBox, QWidget
+from magicgui import magic_factory, magicgui
+from magicgui.widgets import ComboBox
+from qtpy.QtWidgets import QWidget
 
 from napari_mufasa.design import design as predicted
 from napari_mufasa.design import numbers
@@ -16,10 +15,10 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.report.fields import number_text, told
 from napari_mufasa.report.lines import solution_lines
 from napari_mufasa.report.plots import predictions
-from napari_mufasa.widgets.parts.edits import ListEdit, NumberEdit
-from napari_mufasa.widgets.parts.forms import DerivedValues, widget_of
+from napari_mufasa.widgets.parts.edits import TypedEdit
+from napari_mufasa.widgets.parts.forms import DerivedValues, begin, dress, dress_one
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import AnyMovie, Believed
+from napari_mufasa.widgets.parts.parameters import NUMBER, AnyMovie, Believed
 from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, button, column, row, section
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.turns.session import believed
@@ -28,16 +27,17 @@ NUMBERS = [(told(path.split(".")[1]), path) for path in numbers()]
 TARGETS = [(told(name), name) for name in QUANTITIES]
 NOTHING = [("nothing else", "")]
 TARGET: dict[str, Any] = {"widget_type": "ComboBox", "label": "Wanted"}
-VALUE: dict[str, Any] = {"widget_type": NumberEdit, "min": 0, "label": "is"}
+VALUES: dict[str, Any] = {"widget_type": TypedEdit, "of": tuple[float, ...]}
+VALUE = NUMBER | {"label": "is"}
 
 
 def design(
     movie: AnyMovie = None,
     model: Believed = None,
     vary: Annotated[str, {"widget_type": "ComboBox", "label": "Vary", "choices": NUMBERS}] = POWER,
-    values: Annotated[tuple[float, ...], {"widget_type": ListEdit, "label": "Values"}] = (1.0, 10.0, 100.0),
+    values: Annotated[tuple[float, ...], VALUES | {"label": "Values"}] = (1.0, 10.0, 100.0),
     vary_also: Annotated[str, {"widget_type": "ComboBox", "label": "Vary also", "choices": NOTHING + NUMBERS}] = "",
-    also_values: Annotated[tuple[float, ...], {"widget_type": ListEdit, "label": "Its values"}] = (),
+    also_values: Annotated[tuple[float, ...], VALUES | {"label": "Its values"}] = (),
 ) -> pd.DataFrame:
     """Predict signal, noise, precision and life time for some values of one parameter of a model, or of two.
 
@@ -60,7 +60,7 @@ def design(
     return predicted(believed(model, movie), asked)
 
 
-design_widget = widget_of(design, "Predict")
+design_widget = magic_factory(design, call_button="Predict", widget_init=begin)
 
 
 def targets(
@@ -77,20 +77,16 @@ class DesignPanel(Panel):
     hidden = ("movie",)
 
     def build(self) -> None:
-        self.prediction: pd.DataFrame | None = None
+        self.prediction: Any = None
         self.varied: list[str] = []
         self.table = RowTable(["Prediction"], "Predictions, a column for each value")
         header: Any = self.table.horizontalHeader()
         header.setSectionResizeMode(0, header.ResizeMode.ResizeToContents)  # what it is must not be cut
         self.plot = PlotCanvas(self.viewer, "Press Predict: curves over one value, maps over two.", 260)
-        self.shown = QComboBox()
-        self.shown.setAccessibleName("Prediction drawn")
-        for name, path in TARGETS:
-            self.shown.addItem(name, path)
-        self.shown.setCurrentIndex(QUANTITIES.index("snr_spot"))
-        self.shown.currentIndexChanged.connect(self._draw)
+        self.shown = dress_one(ComboBox(choices=TARGETS, value="snr_spot", label="Prediction drawn"))
+        self.shown.changed.connect(self._draw)
         page = QWidget()
-        column(page, self.shown, self.plot, shares=(0, 1))
+        column(page, self.shown.native, self.plot, shares=(0, 1))
         self.save_button = self.saver("Save table as CSV …", "Save predictions", self.save, "design.csv")
         what_follows = section("What follows", DerivedValues(self.session))
         self.add(self.form.native, self.run_bar, what_follows, section("Solve for a target", self._solver()))
@@ -101,8 +97,9 @@ class DesignPanel(Panel):
         """Targets, and a button that changes the varied value of the model until the first is met."""
         also = TARGET | {"label": "and", "choices": NOTHING + TARGETS}
         self.targets: Any = magicgui(
-            targets, wanted=TARGET | {"choices": TARGETS}, value=VALUE, and_also=also, other=VALUE
+            targets, call_button=False, wanted=TARGET | {"choices": TARGETS}, value=VALUE, and_also=also, other=VALUE
         )
+        dress(self.targets)
         self.solution = Words()
         self.solve_button = button(
             "Solve", partial(self.guarded, self.solve), "Change the varied value of the model until the first is met"
@@ -114,7 +111,7 @@ class DesignPanel(Panel):
     def solve(self) -> None:
         """Set the varied value of the model so that the first target is met, and say where all are."""
         found = solve(self.session.model, self.targets(), self.form.vary.value)
-        self.session.set_model(found.model, self.session.model_origin.removesuffix(" (solved)") + " (solved)")
+        self.session.change_model(found.model, "solved")
         self.solution.say("<br>".join(solution_lines(found)))
 
     def take(self, found: pd.DataFrame) -> None:
@@ -128,16 +125,14 @@ class DesignPanel(Panel):
         self.save_button.setEnabled(True)
         self._draw()
 
-    def _draw(self) -> None:
+    def _draw(self, _shown: Any = None) -> None:
         if self.prediction is not None:
-            table, varied, shown = self.prediction, self.varied, [str(self.shown.currentData())]
+            table, varied, shown = self.prediction, self.varied, [str(self.shown.value)]
             self.plot.draw(lambda figure: predictions(figure, table, varied, shown), table)
 
     def save(self, path: str) -> str:
         from napari_mufasa.files.whole import write_table
 
-        if self.prediction is None:
-            raise MufasaError("nothing was predicted yet: press Predict first")
         write_table(path, self.prediction)
         return path
 

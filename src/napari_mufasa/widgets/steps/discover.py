@@ -1,12 +1,11 @@
 """Discover: where the model fails, what is missing, add it, watch the error fall."""
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from magicgui import magic_factory
 from napari.layers import Layer
 from qtpy.QtWidgets import QWidget
 
@@ -14,13 +13,14 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.report.words import detectable_rows, headline, in_text
-from napari_mufasa.widgets.parts.edits import ListEdit
+from napari_mufasa.widgets.parts.doubts import Doubts
+from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.effects import Suspects
 from napari_mufasa.widgets.parts.findings import WhatPage, WherePage
-from napari_mufasa.widgets.parts.forms import widget_of
+from napari_mufasa.widgets.parts.forms import begin
 from napari_mufasa.widgets.parts.layers import ours
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import SEED, Believed, Dark, DarkFrames, Movie, Seed
+from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie, Seed
 from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, column, section
 from napari_mufasa.widgets.parts.place_layers import PlaceLayers, map_of, molecules_of, simulated_of
 from napari_mufasa.widgets.parts.plot import PlotCanvas
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from napari_mufasa.discover.result import Report
 
 KINDS: dict[str, Any] = {
-    "widget_type": ListEdit, "of": "words", "label": "Suspects", "empty": "all that suit the camera",
+    "widget_type": TypedEdit, "of": tuple[str, ...], "label": "Suspects", "empty": "all that suit the camera",
 }  # fmt: skip
 ADEQUATE = (
     "The model is adequate. That does not mean that nothing else is there: this is the smallest strength of each "
@@ -86,7 +86,7 @@ def discover(
     return layers
 
 
-discover_widget = widget_of(discover, "Discover", SEED)
+discover_widget = magic_factory(discover, call_button="Discover", widget_init=begin)
 
 
 class DiscoverPanel(Panel):
@@ -117,17 +117,17 @@ class DiscoverPanel(Panel):
         caption = "Folder for report.json and model.json"
         self.export_button = self.saver("Export report and model …", caption, self.export)
         suspects = section("Suspects", self.suspects)
-        self.add(self.form.native, self.doubting(), suspects, self.run_bar, self.verdict, last=self.tabs)
+        self.add(self.form.native, Doubts(self.session, self), suspects, self.run_bar, self.verdict, last=self.tabs)
         self.add(self.export_button)
         self.run_bar.finished.connect(self._enable)
 
     @property
-    def report(self) -> Report | None:
+    def report(self) -> "Report | None":
         return self._steps[-1][0] if self._steps else None
 
     # runs -------------------------------------------------------------------------------------------
     def prepare(self) -> None:
-        self.measurement().recorded()
+        self.session.measurement().recorded()
         layer = weakref.ref(self.form.movie.value)
 
         def done(layers: list[Any]) -> Generator[None, None, None]:
@@ -159,7 +159,7 @@ class DiscoverPanel(Panel):
                         investigation.undo()
                     raise
 
-        self.start(f"Adding {in_text(candidate.effect)}", work, self.take)
+        self.run_bar.start(f"Adding {in_text(candidate.effect)}", work, self.take)
         self._enable()
 
     def undo(self) -> None:
@@ -174,11 +174,11 @@ class DiscoverPanel(Panel):
         self.show_report(*self._steps.pop())
 
     # results ----------------------------------------------------------------------------------------
-    def show_report(self, report: Report, places: Places | None = None) -> None:
+    def show_report(self, report: "Report", places: "Places | None" = None) -> None:
         for _ in self.take((report, places)):
             pass
 
-    def take(self, found: tuple[Report, Places | None]) -> Generator[None, None, None]:
+    def take(self, found: "tuple[Report, Places | None]") -> Generator[None, None, None]:
         """Everything the panel shows follows from the report and the places; one thing at a time."""
         import pandas as pd
 
@@ -209,7 +209,7 @@ class DiscoverPanel(Panel):
         self.what.undo_button.setEnabled(free and len(self._steps) > 1)
         self.export_button.setEnabled(bool(self._steps))
 
-    def _placed(self) -> tuple[Places, Any, int] | None:
+    def _placed(self) -> "tuple[Places, Any, int] | None":
         """The places, the layer that was examined, if it is still there and chosen, and its frame that came first."""
         layer, places = self.session.movie_layer, self._steps[-1][1] if self._steps else None
         if not self._examined or places is None or layer is None or layer is not self._examined["layer"]():
@@ -238,8 +238,7 @@ class DiscoverPanel(Panel):
         """Write report.json, model.json and the table of observables."""
         from napari_mufasa.files.whole import write_table
 
-        if self.report is None:
-            raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
+        assert self.report is not None
         target = Path(folder)
         self.report.to_json(str(target / "report.json"))
         self.report.model.to_json(target / "model.json")
@@ -247,7 +246,7 @@ class DiscoverPanel(Panel):
         return f"report.json, model.json and observables.csv in {folder}"
 
 
-def _places(measurement: Any, report: Report, shape_px: Any, seed: int) -> Places:
+def _places(measurement: Any, report: "Report", shape_px: Any, seed: int) -> "Places":
     """Where the model as it stands fails: the base model until an effect was added."""
     from napari_mufasa.discover.places import find_places
 
@@ -255,6 +254,6 @@ def _places(measurement: Any, report: Report, shape_px: Any, seed: int) -> Place
     return find_places(measurement, model, tuple(shape_px), seed=seed, cancel=steering()[1])
 
 
-def _name(movie: str, report: Report) -> str:
+def _name(movie: str, report: "Report") -> str:
     added = " and ".join(in_text(kind) for kind in report.chosen)
     return f"{movie}, simulated" + (f" with {added}" if added else "")

@@ -1,11 +1,11 @@
 """Propose: a first model from the movie itself, in step Camera."""
 
-from __future__ import annotations
+from magicgui import magic_factory
 
 from napari_mufasa.files.layers import instrument_of, measurement_of, pixel_size_um
 from napari_mufasa.propose import Proposal
-from napari_mufasa.widgets.parts.forms import widget_of
-from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
+from napari_mufasa.widgets.parts.forms import begin
+from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Efficiency, ElectronsPerAdu, EmGain, Movie
 from napari_mufasa.widgets.turns.steering import steering
 
 
@@ -13,16 +13,14 @@ def propose(
     movie: Movie,
     dark: Dark = None,
     dark_frames: DarkFrames = 0,
-    em_gain: float | None = None,
-    electrons_per_adu: float | None = None,
-    quantum_efficiency: float = 0.9,
+    em_gain: EmGain = None,
+    electrons_per_adu: ElectronsPerAdu = None,
+    quantum_efficiency: Efficiency = 0.9,
 ) -> Proposal:
     """Propose a first model: metadata, camera, PSF width, background, molecules and their light, on and off times.
 
     Parameters:
-        em_gain: If it is known
         electrons_per_adu: If it is known
-        quantum_efficiency: Photoelectrons per photon, as stated
 
     Returns:
         The `Proposal`: a model with an interval beside each value, and words for what could not be known.
@@ -39,4 +37,4 @@ def propose(
     )  # fmt: skip
 
 
-propose_widget = widget_of(propose, "Propose")
+propose_widget = magic_factory(propose, call_button="Propose", widget_init=begin)

@@ -1,19 +1,18 @@
 """Simulate: a movie from the believed model, its true positions as points, and, if asked for, the image before the
 camera."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from typing import Annotated, Any, Literal
 
+from magicgui import magic_factory
 from napari.layers import Layer
 
 from napari_mufasa.files.layers import movie_space
 from napari_mufasa.model.presets import preset
-from napari_mufasa.widgets.parts.forms import DerivedValues, PartEditor, widget_of
+from napari_mufasa.widgets.parts.forms import DerivedValues, PartEditor, begin
 from napari_mufasa.widgets.parts.layers import added, movie_layer, points_on
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import SEED, Believed, Molecules, Seed
+from napari_mufasa.widgets.parts.parameters import Believed, Molecules, Seed
 from napari_mufasa.widgets.parts.pieces import section
 from napari_mufasa.widgets.turns.steering import steering
 
@@ -63,7 +62,7 @@ def simulate(
     return layers
 
 
-simulate_widget = widget_of(simulate, "Simulate", SEED)
+simulate_widget = magic_factory(simulate, call_button="Simulate", widget_init=begin)
 
 
 class SimulatePanel(Panel):

@@ -1,21 +1,21 @@
 """Extract traces (step Molecules): molecules as points, the trace of the one you click."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Generator
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from magicgui import magic_factory
 from napari.layers import Layer, Points, Tracks
+from pydantic import PositiveInt
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of, stored
 from napari_mufasa.report.lines import molecule_line, moving_line
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.spots.aperture import Profile
-from napari_mufasa.widgets.parts.edits import NumberEdit
-from napari_mufasa.widgets.parts.forms import widget_of
+from napari_mufasa.widgets.parts.edits import TypedEdit
+from napari_mufasa.widgets.parts.forms import begin
 from napari_mufasa.widgets.parts.layers import added, ours, points_on, space_of
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie
@@ -36,7 +36,7 @@ COLUMNS = (
     "molecule", "brightness", "snr", "bleaching_frame", "n_steps", "n_blinks", "kept", "reason", "found_frames",
     "diffusion_px2_per_frame", "drift_y_px_per_frame", "drift_x_px_per_frame",
 )  # fmt: skip
-COUNT: dict[str, Any] = {"widget_type": NumberEdit, "whole": True, "min": 1}
+COUNT: dict[str, Any] = {"widget_type": TypedEdit, "of": PositiveInt}
 
 
 def traces(
@@ -81,10 +81,10 @@ def traces(
     ]  # fmt: skip
 
 
-traces_widget = widget_of(traces, "Extract traces", {"threshold_sigma": "steps.threshold_sigma"})
+traces_widget = magic_factory(traces, call_button="Extract traces", widget_init=begin)
 
 
-def molecules_on(movie: Any, found: TraceSet, **more: Any) -> Points:
+def molecules_on(movie: Any, found: "TraceSet", **more: Any) -> Points:
     """Rings at all candidates, green where they are kept."""
     table = found.molecules
     features = table[[name for name in COLUMNS if name in table]].copy()
@@ -97,19 +97,13 @@ def molecules_on(movie: Any, found: TraceSet, **more: Any) -> Points:
     )  # fmt: skip
 
 
-def paths_on(movie: Any, found: TraceSet, first_frame: int = 0) -> Tracks:
+def paths_on(movie: Any, found: "TraceSet", first_frame: int = 0) -> Tracks:
     """Where the kept molecules were followed to; `first_frame` of the movie is the first that was read."""
-    table, paths = found.molecules, found.path_px
-    assert paths is not None  # they were followed
-    rows, features = [], []
-    for i in np.flatnonzero(found.kept):
-        molecule = table.iloc[i]
-        frames = np.arange(molecule["first_found"], molecule["last_found"] + 1)
-        number = np.full(len(frames), molecule["molecule"])
-        rows.append(np.column_stack([number, frames, paths[i, frames]]))
-        features.append(np.full(len(frames), molecule["diffusion_px2_per_frame"]))
+    from napari_mufasa.traces.table import path_table
+
+    table, diffusion = path_table(found), found.molecules.set_index("molecule")["diffusion_px2_per_frame"]
     return Tracks(
-        np.concatenate(rows), name=f"{movie.name}, paths", features={"diffusion": np.concatenate(features)},
+        table.to_numpy(float), name=f"{movie.name}, paths", features={"diffusion": table["molecule"].map(diffusion)},
         tail_length=found.all_traces.shape[1], **space_of(movie, first_frame),
     )  # fmt: skip
 
@@ -135,13 +129,13 @@ class MoleculesPanel(Panel):
         self.add(self.toggle_button, self.save_button)
 
     @property
-    def traces(self) -> TraceSet | None:
+    def traces(self) -> "TraceSet | None":
         """Those of the layer looked at."""
         found: TraceSet | None = stored(self.points, "traces")
         return found
 
     def prepare(self) -> None:
-        self.measurement()
+        self.session.measurement()
         movie = self.form.movie.value
         self.call(self.running, lambda layers: self._show(layers, movie))
 
@@ -155,7 +149,7 @@ class MoleculesPanel(Panel):
         self.points, self.shown = points, None
         found: Any = self.traces
         said = f"{int(found.kept.sum())} molecules kept of {len(found.molecules)} candidates."
-        self.run_bar.say(said if found.path_px is None else f"{said} {moving_line(found).capitalize()}")
+        self.run_bar.say(said if found.path_px is None else f"{said} F{moving_line(found)[1:]}.")
         self.plot.clear(HINT)
         points.selected_data.events.items_changed.connect(self._on_selection)
         points.mouse_drag_callbacks.append(self._on_click)
@@ -213,11 +207,10 @@ class MoleculesPanel(Panel):
         """Write traces.csv and molecules.csv (docs/files.md)."""
         from napari_mufasa.traces.table import write_traces
 
-        if self.traces is None:
-            raise MufasaError("no traces yet: extract them first")
+        assert self.traces is not None
         write_traces(folder, self.traces)
         return f"traces.csv and molecules.csv in {folder}"
 
 
-def _colours(table: pd.DataFrame) -> list[str]:
+def _colours(table: "pd.DataFrame") -> list[str]:
     return [KEPT if kept else REJECTED for kept in table["kept"]]

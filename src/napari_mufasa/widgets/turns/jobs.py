@@ -9,18 +9,19 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from qtpy.QtCore import QObject, Qt, Signal  # type: ignore[attr-defined]
+from qtpy.QtCore import QEvent, QObject, Qt, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QProgressBar, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.widgets.parts.pieces import Words, button, column, row, timer
-from napari_mufasa.widgets.turns.steering import Cancel, Progress
+from napari_mufasa.widgets.parts.pieces import Words, button, column, made, row, timer
+from napari_mufasa.widgets.turns.steering import Cancel, steered
 
-Work = Callable[[Progress, Cancel], Any]
+Work = Callable[[], Any]
 Asked = Callable[[Cancel], Any]
 POLL_S = 0.05
 TWENTIETHS = 20  # steps of the progress bars: napari draws its own at each
@@ -55,7 +56,12 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
     at once: the generator leaves, the work notices at its next look at `stop` and throws its result away.
     """
     news: queue.SimpleQueue[tuple[int, int] | Outcome] = queue.SimpleQueue()
-    in_thread("mufasa-work", lambda: work(lambda done, total: news.put((done, total)), stop), news.put)
+
+    def run() -> Any:
+        with steered(lambda done, total: news.put((done, total)), stop):
+            return work()
+
+    in_thread("mufasa-work", run, news.put)
     twentieths = 0
     while not stop():
         try:
@@ -74,10 +80,10 @@ def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome
 class RunBar(QWidget):
     """A Run button, a Cancel button, progress, and one line about what happened.
 
-    ``start(title, work, done)`` runs ``work(progress, cancel)`` in the background and then calls ``done(result)`` in
-    the interface's thread. Where `done` is a generator, the interface breathes at each ``yield``: what it has to do
-    (a layer, another layer, a table) is done one thing at a time. ``finished`` is emitted after every run, however it
-    ended.
+    ``start(title, work, done)`` runs ``work()``, which may ask `steering()`, in the background and then calls
+    ``done(result)`` in the interface's thread. Where `done` is a generator, the interface breathes at each ``yield``:
+    what it has to do (a layer, another layer, a table) is done one thing at a time. ``finished`` is emitted after every
+    run, however it ended.
     """
 
     clicked = Signal()
@@ -87,9 +93,7 @@ class RunBar(QWidget):
         super().__init__(parent)
         self.run_button = button(run_label, self.clicked.emit, tooltip)
         self.cancel_button = button("Cancel", self.cancel, "Stop this run; nothing is kept of it")
-        self.bar = QProgressBar()
-        self.bar.setTextVisible(False)
-        self.bar.setMaximumHeight(6)
+        self.bar = made(QProgressBar, textVisible=False, maximumHeight=6)
         self.message = Words()
         self.message.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         buttons = row(self.run_button, self.cancel_button, shares=(1,))
@@ -170,12 +174,8 @@ class RunBar(QWidget):
             return
         ended = True
         try:
-            next(self._rest)
-            ended = False
-        except StopIteration:
-            pass
-        except MufasaError as error:
-            self.say(report_error(error), error=True)
+            with errors_reported(partial(self.say, error=True)):
+                ended = next(self._rest, True) is True
         finally:
             if ended:
                 self._end()
@@ -246,6 +246,44 @@ class Latest(QObject):
             self.arrived.emit(outcome)
         elif self._work is not None and not self._timer.isActive():
             self._begin()
+
+
+class WhenSeen(Latest):
+    """``renew()`` requests the work that ``ask()`` gives, if it gives any; not before one of its lookers is seen."""
+
+    def __init__(self, wait_ms: int, parent: QObject, ask: Callable[[], Asked | None], *lookers: QWidget) -> None:
+        super().__init__(wait_ms, parent)
+        self._ask, self._stale = ask, True
+        self._lookers: list[QWidget] = []
+        for looker in lookers:
+            self.watch(looker)
+
+    def watch(self, looker: QWidget) -> None:
+        """Work for this widget, too."""
+        self._lookers.append(looker)
+        looker.installEventFilter(self)
+        looker.destroyed.connect(lambda: self._lookers.remove(looker))
+
+    def renew(self) -> None:
+        self._stale = True
+        work = self._ask() if any(looker.isVisible() for looker in self._lookers) else None
+        if work is not None:
+            self._stale = False
+            self.request(work)
+
+    def eventFilter(self, _looker: Any, event: Any) -> bool:
+        if self._stale and event.type() == QEvent.Type.Show:
+            self.renew()
+        return False
+
+
+@contextlib.contextmanager
+def errors_reported(then: Callable[[str], Any] = lambda line: None) -> Iterator[None]:
+    """Here a `MufasaError` becomes a notification, and ``then(line)`` tells it elsewhere."""
+    try:
+        yield
+    except MufasaError as error:
+        then(report_error(error))
 
 
 def report_error(error: BaseException) -> str:

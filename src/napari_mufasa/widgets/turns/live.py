@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from qtpy.QtCore import QObject, Signal  # type: ignore[attr-defined]
+from qtpy.QtCore import Signal  # type: ignore[attr-defined]
 
 from napari_mufasa.report.lines import live_line
 from napari_mufasa.widgets.parts.pieces import Words
 from napari_mufasa.widgets.parts.preferences import preference
-from napari_mufasa.widgets.turns.jobs import Latest
+from napari_mufasa.widgets.turns.jobs import WhenSeen
 from napari_mufasa.widgets.turns.session import Session
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def live_of(session: Session) -> LiveDistance:
     return session.findChild(LiveDistance) or LiveDistance(session)
 
 
-class LiveDistance(QObject):
+class LiveDistance(WhenSeen):
     """Follows the session's model and traces; works only while someone looks.
 
     ``changed`` when `distance`, `problem` or `busy` are new.
@@ -33,47 +33,34 @@ class LiveDistance(QObject):
     changed = Signal()
 
     def __init__(self, session: Session) -> None:
-        super().__init__(session)
+        super().__init__(WAIT_MS, session, self._measuring)
         self.session = session
         self.distance: QuickDistance | None = None
         self.problem = ""
-        self.lookers: list[Words] = []
         self._known: Any = None  # what is worked out once for all models, of the traces there are
-        self._stale = True
-        self._latest = Latest(WAIT_MS, self)
-        self._latest.arrived.connect(self._on_arrived)
-        session.model_changed.connect(self._on_change)
+        self.arrived.connect(self._on_arrived)
+        session.model_changed.connect(self.renew)
         session.traces_changed.connect(self._on_traces)
 
-    @property
-    def busy(self) -> bool:
-        return self._latest.busy
-
-    def refresh(self) -> None:
-        """Work out the distance if it is not known and someone looks."""
-        watched = preference("picture.live_distance") and any(looker.isVisible() for looker in self.lookers)
-        if not self._stale or not watched:
-            return
-        self._stale = False
+    def _measuring(self) -> Any:
         traces, model, known = self.session.traces, self.session.model, self._known
-        if traces is None:
-            return
+        if traces is None or not preference("picture.live_distance"):
+            return None
 
         def work(cancel: Any) -> QuickDistance:
             from napari_mufasa.compare.quick import quick_distance
 
             return quick_distance(traces, model, known=known, cancel=cancel)
 
-        self._latest.request(work)
-        self.changed.emit()
+        return work
 
-    def _on_change(self) -> None:
-        self._stale = True
-        self.refresh()
+    def request(self, work: Any) -> None:
+        super().request(work)
+        self.changed.emit()
 
     def _on_traces(self) -> None:
         self._known = None
-        self._on_change()
+        self.renew()
 
     def _on_arrived(self, outcome: Any) -> None:
         self.problem = "" if outcome.error is None else str(outcome.error)
@@ -93,14 +80,9 @@ class LiveLine(Words):
             "Step Compare gives the number to quote."
         )
         live = self.live = live_of(session)
-        live.lookers.append(self)
-        self.destroyed.connect(lambda: live.lookers.remove(self) if self in live.lookers else None)
+        live.watch(self)
         live.changed.connect(self.show_words)
         self.show_words()
-
-    def showEvent(self, event: Any) -> None:
-        super().showEvent(event)
-        self.live.refresh()
 
     def show_words(self) -> None:
         live = self.live

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import weakref
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 from napari.layers import Image, Layer
 from napari.viewer import Viewer
@@ -17,7 +17,6 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import Measurement, measurement_of, stored
 from napari_mufasa.model.model import Model
 from napari_mufasa.model.presets import preset
-from napari_mufasa.model.setup import Camera
 
 if TYPE_CHECKING:
     from napari_mufasa.traces import TraceSet
@@ -46,7 +45,7 @@ class Session(QObject):
         self._model: Model | None = None
         self.model_origin = ""
         self.model_chosen = False  # whether anyone said which model is believed
-        self._layers: dict[str, weakref.ref[Image]] = {}
+        self._layers: WeakValueDictionary[str, Image] = WeakValueDictionary()
         self.dark_frames = 0
         self.traces: TraceSet | None = None  # the last ones read of a movie
 
@@ -74,8 +73,9 @@ class Session(QObject):
         self._model = model
         self.model_changed.emit()
 
-    def set_camera(self, camera: Camera, origin: str | None = None) -> None:
-        self.set_model(self.model.model_copy(update={"camera": camera}), origin)
+    def change_model(self, model: Model, how: str) -> None:
+        """Believe a model that was made of the present one; its origin says once how."""
+        self.set_model(model, f"{self.model_origin.removesuffix(f' ({how})')} ({how})")
 
     def forget_model(self) -> None:
         """As if none had been chosen."""
@@ -127,11 +127,11 @@ class Session(QObject):
     def _keep(self, name: str, layer: Image | None) -> None:
         self._layers.pop(name, None)
         if layer is not None:
-            self._layers[name] = weakref.ref(layer)
+            self._layers[name] = layer
 
     def _layer(self, name: str) -> Image | None:
         """The layer chosen, unless it was taken out of the viewer."""
-        layer = self._layers[name]() if name in self._layers else None
+        layer = self._layers.get(name)
         return layer if layer is not None and layer in self.viewer.layers else None
 
 
