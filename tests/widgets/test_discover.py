@@ -98,8 +98,17 @@ def test_export_writes_report_and_model(panel, tmp_path):
 
 def test_add_without_examination_says_what_to_do(panel):
     panel.show_report(example.report())
+    assert panel.what.take_out_button.isEnabled() and not panel.what.add_button.isEnabled()  # it is in the model
+    panel.what.take_out_button.click()
+    assert "Look for what is missing" in panel.run_bar.message.text()
+    panel.run_bar.say("")
+    panel.what.ranking.selectRow(1)
+    assert panel.what.add_button.isEnabled() and not panel.what.take_out_button.isEnabled()
     panel.what.add_button.click()
     assert "Look for what is missing" in panel.run_bar.message.text()
+    panel.what.ranking.selectAll()
+    n = panel.what.ranking.rowCount() - 1
+    assert panel.what.add_button.text() == f"Add these {n} together" and len(panel.what.to_take_out) == 1
 
 
 @pytest.mark.slow
@@ -142,3 +151,24 @@ def test_drift_is_found_added_and_taken_out_again(viewer, qtbot):
     assert simulated not in viewer.layers
     assert session.model.effects == ()
     assert panel.what.ranking.item(0, 0).data(Qt.ItemDataRole.UserRole) == "stage_drift"
+    panel.what.ranking.selectAll()
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=300_000):
+        panel.what.add_button.click()
+    assert {effect.kind for effect in session.model.effects} == {"stage_drift", "triplet_blinking"}
+    rows = {panel.what.ranking.item(row, 0).data(Qt.ItemDataRole.UserRole): row for row in range(2)}
+    with_it, without = (float(cells(panel.what.ranking, rows["stage_drift"])[column]) for column in (2, 3))
+    assert without > 1.5 * with_it  # the price of taking the drift out
+    panel.what.ranking.selectRow(rows["triplet_blinking"])
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=300_000):
+        panel.what.take_out_button.click()
+    assert [effect.kind for effect in session.model.effects] == ["stage_drift"]
+    checked = panel.report.check
+    assert not checked
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=300_000):
+        panel.check.halves_button.click()
+    checked = panel.report.check
+    assert checked["against"] == "the two halves of the field, apart" and "stage_drift" in checked["both"]
+    assert "noise alone gives" in panel.check.outcome.toPlainText()
+    panel.check.other.value = None
+    panel.check.other_button.click()
+    assert "choose another movie" in panel.run_bar.message.text()

@@ -188,19 +188,6 @@ class Investigation(Standing):
                 at_once = False
         return dropped
 
-    def overtake(self) -> bool:
-        """Put a rival in the place of an effect where it promises more than that is worth. True if one explains more;
-        each is tried once."""
-        for kind in self.stand.added if len(self.stand.added) > 1 else ():
-            rivals = {_kind(case): case for case in self.stand.rivals_of(kind, 1.0)}
-            new = [rival for rival in rivals if (kind, rival) not in self._compared][:RIVALS]
-            self._compared |= {(kind, rival) for rival in new}
-            if not new or not self.affords(1):
-                continue
-            if self._replaced(kind, self._begun_without(kind, [rivals[rival] for rival in new])):
-                return True
-        return False
-
     def exchange(self, rivals: bool = True) -> bool:
         """Try other forms, and `rivals`, in the place of each effect; keep the first that explains more. What could not
         be told from an effect is noted with its worth."""

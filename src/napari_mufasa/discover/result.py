@@ -22,7 +22,8 @@ class Candidate:
     """One effect's case: how much of the misfit it explains, with which parameters.
 
     `p_value` is the calibrated probability of so much evidence when nothing is missing; `error_after` the
-    held-out error with the effect in the model; `share_explained` the part of the removable error it removes.
+    held-out error with the effect in the model; `error_without` of one that is in it: without it, the others adjusted;
+    `share_explained` the part of the removable error it removes.
     """
 
     effect: str
@@ -33,6 +34,7 @@ class Candidate:
     parameters: dict[str, Any]
     parameters_sd: dict[str, float]
     indistinguishable_from: tuple[str, ...] = ()
+    error_without: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -40,6 +42,7 @@ class Candidate:
             "p_value": self.p_value,
             "evidence": self.evidence,
             "error_after": self.error_after,
+            "error_without": self.error_without,
             "share_explained": self.share_explained,
             "parameters": self.parameters,
             "parameters_sd": self.parameters_sd,

@@ -37,7 +37,6 @@ class Standing:
         self.budget = affordable if budget is None else budget
         self.stands: list[Stand] = []
         self.ranking: list[Candidate] = []
-        self._compared: set[tuple[str, str]] = set()  # which rivals in the place of which effects
 
     def examine(self) -> None:
         """Fit the nuisance values, simulate the neighbourhood of the model and of every effect."""
@@ -98,7 +97,17 @@ class Standing:
             share = share_of(worth.error_without, error, stand.state.floor)
             p = stand.null.evidence.p(evidence)
             found.append(
-                Candidate(kind, p, evidence, error, share, effect.parameters(), sds[kind], tuple(worth.rivals))
+                Candidate(
+                    kind,
+                    p,
+                    evidence,
+                    error,
+                    share,
+                    effect.parameters(),
+                    sds[kind],
+                    tuple(worth.rivals),
+                    worth.error_without,
+                )
             )
         return found
 

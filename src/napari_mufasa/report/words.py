@@ -277,11 +277,12 @@ def matching_curve(observable: str, curves: Sequence[Curve]) -> Curve | None:
 
 
 def ranking_rows(report: Report) -> list[tuple[str, list[str], str]]:
-    """(kind, cells of a table, `words_of`) of each effect that could be missing, the best first."""
+    """(kind, cells of a table, `words_of`) of each effect that was added, and that could be missing, the best first."""
     rows = []
     for c in report.ranking:
-        after = "–" if c.error_after is None else f"{c.error_after:.2f}"
-        rows.append((c.effect, [effect_title(c.effect), f"{c.evidence:.0f}", after, f"{c.p_value:.1g}"], words_of(c)))
+        title = f"✓ {effect_title(c.effect)}" if c.effect in report.chosen else effect_title(c.effect)
+        errors = ["–" if error is None else f"{error:.2f}" for error in (c.error_after, c.error_without)]
+        rows.append((c.effect, [title, f"{c.evidence:.0f}", *errors, f"{c.p_value:.1g}"], words_of(c)))
     return rows
 
 

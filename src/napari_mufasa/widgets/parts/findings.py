@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 from napari.viewer import Viewer
@@ -10,7 +11,17 @@ from qtpy.QtCore import Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QCheckBox, QTextBrowser, QWidget
 
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.report.words import failing_rows, in_text, matching_curve, observable_text, ranking_rows, words_of
+from napari_mufasa.report.words import (
+    check_lines,
+    failing_rows,
+    in_text,
+    matching_curve,
+    observable_text,
+    ranking_rows,
+    words_of,
+)
+from napari_mufasa.widgets.parts.edits import LayerEdit
+from napari_mufasa.widgets.parts.forms import dress_one
 from napari_mufasa.widgets.parts.pieces import RowTable, Words, button, column, made, row
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.parts.preferences import preference
@@ -69,29 +80,42 @@ class WherePage(QWidget):
 
 
 class WhatPage(QWidget):
-    """Effects with their evidence, what to check at the microscope, Add and Undo; `candidate` is the effect chosen."""
+    """Effects with their evidence, what to check at the microscope, Add, Take out and Undo; `chosen` are the effects
+    selected, several with Ctrl or Shift."""
 
-    def __init__(self, add: Callable[[], Any], undo: Callable[[], Any]) -> None:
+    def __init__(self, add: Callable[[], Any], take_out: Callable[[], Any], undo: Callable[[], Any]) -> None:
         super().__init__()
         self.report: Report | None = None
-        columns = ["Effect", "Evidence", "Error after", "p"]
-        self.ranking = RowTable(columns, "Effects that could be missing, the best first")
+        columns = ["Effect", "Evidence", "Error with", "without", "p"]
+        self.ranking = RowTable(
+            columns, "Effects in the model (✓) and those that could be missing, the best first", True
+        )
         self.ranking.itemSelectionChanged.connect(self._show_candidate)
         # A text that scrolls by itself: a wrapped label would push the buttons out of sight.
         hint = "Effects that could explain the misfit appear above, the best one first."
         self.details = made(QTextBrowser, html=hint, minimumHeight=110)
-        self.add_button = button("Add to the model", add, "Fit this effect and put it into the model", enabled=False)
-        self.undo_button = button("Undo", undo, "Take the last effect out again", enabled=False)
+        tip = "Fit the selected effects together, with all that is in the model already"
+        self.add_button = button("Add to the model", add, tip, enabled=False)
+        tip = "Take the selected effects out and fit the others anew: the column “without” tells the price"
+        self.take_out_button = button("Take out", take_out, tip, enabled=False)
+        self.undo_button = button("Undo", undo, "Take the last step back", enabled=False)
         tip = "A movie of the completed model, its molecules at the measured places"
         self.simulate_box = preferred_box("show its movie beside the measured one", "picture.show_simulated", tip)
-        buttons = row(self.add_button, self.undo_button)
+        buttons = row(self.add_button, self.take_out_button, self.undo_button)
         column(self, self.ranking, self.details, buttons, self.simulate_box, shares=(2, 1))
 
     @property
-    def candidate(self) -> Candidate | None:
-        number = self.ranking.currentRow()
-        ranking = self.report.ranking if self.report is not None else ()
-        return ranking[number] if 0 <= number < len(ranking) else None
+    def chosen(self) -> list[Candidate]:
+        by_kind = {c.effect: c for c in self.report.ranking} if self.report is not None else {}
+        return [by_kind[kind] for kind in self.ranking.keys if kind in by_kind]
+
+    @property
+    def to_add(self) -> list[Candidate]:
+        return [c for c in self.chosen if self.report is not None and c.effect not in self.report.chosen]
+
+    @property
+    def to_take_out(self) -> list[str]:
+        return [c.effect for c in self.chosen if self.report is not None and c.effect in self.report.chosen]
 
     def show_report(self, report: Report) -> None:
         self.report = report
@@ -99,9 +123,32 @@ class WhatPage(QWidget):
         self._show_candidate()
 
     def _show_candidate(self) -> None:
-        candidate = self.candidate
-        self.details.setHtml(words_of(candidate) if candidate is not None else "No further effect was tried.")
-        self.add_button.setText(f"Add {in_text(candidate.effect)}" if candidate is not None else "Add to the model")
+        told, new = "<hr>".join(words_of(candidate) for candidate in self.chosen), self.to_add
+        self.details.setHtml(told or "No further effect was tried.")
+        only = f"Add {in_text(new[0].effect)}" if new else "Add to the model"
+        self.add_button.setText(only if len(new) < 2 else f"Add these {len(new)} together")
+
+
+class CheckPage(QWidget):
+    """Does the finding hold elsewhere: in the halves of the field apart, in another movie of the same set-up?"""
+
+    def __init__(self, viewer: Viewer, halves: Callable[[], Any], other: Callable[[], Any]) -> None:
+        super().__init__()
+        tip = "Diagnose the two halves of the field apart: do they name the same effects, with the same parameters?"
+        self.halves_button = button("Check on two halves", halves, tip, enabled=False)
+        self.other = dress_one(LayerEdit(label="Other movie", nullable=True))
+        self.other.viewer = viewer
+        self.other.reset_choices()
+        for event in (viewer.layers.events.inserted, viewer.layers.events.removed):
+            event.connect(self.other.reset_choices)
+        tip = "Diagnose this other movie of the same set-up, and try the completed model on it"
+        self.other_button = button("Check on it", other, tip, enabled=False)
+        self.outcome = made(QTextBrowser, html="Diagnosed apart, do other data of the same set-up say the same?")
+        column(self, self.halves_button, row(self.other.native, self.other_button), self.outcome, shares=(2,))
+
+    def show_report(self, report: Report) -> None:
+        if lines := check_lines(report.check):
+            self.outcome.setHtml("<br>".join(escape(line) for line in lines))
 
 
 def preferred_box(text: str, setting: str, tooltip: str) -> QCheckBox:

@@ -44,13 +44,14 @@ class Tabs(QTabWidget):
 
 
 class RowTable(QTableWidget):
-    """A table of rows to choose one from, each with a key; the first column takes the room."""
+    """A table of rows to choose one from, or `several`, each with a key; the first column takes the room."""
 
-    def __init__(self, headers: list[str], accessible_name: str) -> None:
+    def __init__(self, headers: list[str], accessible_name: str, several: bool = False) -> None:
+        modes = QTableWidget.SelectionMode
         super().__init__(
             0, len(headers), accessibleName=accessible_name, minimumHeight=120,
             selectionBehavior=QTableWidget.SelectionBehavior.SelectRows,
-            selectionMode=QTableWidget.SelectionMode.SingleSelection,
+            selectionMode=modes.ExtendedSelection if several else modes.SingleSelection,
             editTriggers=QTableWidget.EditTrigger.NoEditTriggers,
         )  # type: ignore[call-overload]  # fmt: skip
         self.setHorizontalHeaderLabels(headers)
@@ -79,8 +80,12 @@ class RowTable(QTableWidget):
     @property
     def key(self) -> str:
         """The key of the row that is chosen, empty when there is none."""
-        items: Any = self.selectedItems()
-        return str(items[0].data(KEY)) if items else ""
+        return next(iter(self.keys), "")
+
+    @property
+    def keys(self) -> list[str]:
+        """The keys of the rows that are chosen, from above."""
+        return [str(self.item(row, 0).data(KEY)) for row in sorted({index.row() for index in self.selectedIndexes()})]  # type: ignore[union-attr]
 
 
 def made(kind: Callable[..., T], *args: Any, **properties: Any) -> T:

@@ -1,7 +1,9 @@
 """Discover: where the model fails, what is missing, add it, watch the error fall."""
 
 import weakref
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +18,7 @@ from napari_mufasa.report.words import detectable_rows, headline, in_text
 from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.effects import Suspects
-from napari_mufasa.widgets.parts.findings import WhatPage, WherePage
+from napari_mufasa.widgets.parts.findings import CheckPage, WhatPage, WherePage
 from napari_mufasa.widgets.parts.forms import begin
 from napari_mufasa.widgets.parts.layers import ours
 from napari_mufasa.widgets.parts.panel import Panel
@@ -90,7 +92,7 @@ discover_widget = magic_factory(discover, call_button="Discover", widget_init=be
 
 
 class DiscoverPanel(Panel):
-    """Looks with `discover`, adding nothing; the user adds, one effect at a time, and takes out again."""
+    """Looks with `discover`, adding nothing; the user adds effects, takes them out again, and checks what was found."""
 
     words = "Find where the model fails and which physical effect it lacks. Add it, and watch the error fall."
     run_label, running = "Look for what is missing", "Looking for what is missing"
@@ -103,7 +105,10 @@ class DiscoverPanel(Panel):
         self.layers = PlaceLayers(self.viewer)
         self.suspects, self.verdict = Suspects(self.session), Words()
         self.where, self.unseen = WherePage(self.viewer), QWidget()
-        self.what = WhatPage(lambda: self.guarded(self.add_selected), self.undo)
+        add, take_out, other = (
+            partial(self.guarded, action) for action in (self.add_selected, self.take_out_selected, self.check_other)
+        )
+        self.what, self.check = WhatPage(add, take_out, self.undo), CheckPage(self.viewer, self.check_halves, other)
         self.history = PlotCanvas(self.viewer, "The error after each step appears here.", 260)
         wanted = "Smallest strength of each effect that this data would have shown"
         self.detectable = RowTable(["Effect", "Would show from"], wanted)
@@ -111,7 +116,12 @@ class DiscoverPanel(Panel):
         self.where.chosen.connect(self._show_place)
         self.where.in_image.toggled.connect(self._show_place)
         self.what.ranking.itemSelectionChanged.connect(self._enable)
-        pages = {"Where it fails": self.where, "What is missing": self.what, "Error": self.history}
+        pages = {
+            "Where it fails": self.where,
+            "What is missing": self.what,
+            "Error": self.history,
+            "Does it hold?": self.check,
+        }
         self.tabs = Tabs(430, pages | {"What would show": self.unseen})
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), False)
         caption = "Folder for report.json and model.json"
@@ -139,27 +149,75 @@ class DiscoverPanel(Panel):
         self.call(self.running, done, effects=self.suspects.chosen(), max_effects=0)
 
     def add_selected(self) -> None:
-        """Fit the selected effect into the model, see what is still missing."""
-        candidate = self.what.candidate
-        if candidate is None or not self._examined:
+        """Fit the selected effects into the model together, see what is still missing."""
+        candidates = self.what.to_add
+        names = " and ".join(in_text(candidate.effect) for candidate in candidates)
+        self._step(f"Adding {names}", lambda investigation: investigation.add(*candidates))
+
+    def take_out_selected(self) -> None:
+        """Fit the model without the selected effects, see what that costs."""
+        kinds = self.what.to_take_out
+        names = " and ".join(in_text(kind) for kind in kinds)
+        self._step(f"Taking out {names}", lambda investigation: investigation.remove(*kinds))
+
+    def _step(self, title: str, change: Callable[[Any], None]) -> None:
+        if not self._examined:
             raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
         investigation, helm, measurement = (self._examined[name] for name in ("investigation", "helm", "measurement"))
         seed, shape_px = self.form.seed.value, measurement.movie.shape[1:]
 
         def work() -> Any:
             with helm:
-                n = len(investigation.chosen)
+                n = len(investigation.stands)
                 try:
-                    investigation.add(candidate)
+                    change(investigation)
                     investigation.rank()
                     report = investigation.report()
                     return report, _places(investigation.measurement, report, shape_px, seed)
                 except BaseException:
-                    if len(investigation.chosen) > n:  # stopped half-way: as if it had not been pressed
+                    if len(investigation.stands) > n:  # stopped half-way: as if it had not been pressed
                         investigation.undo()
                     raise
 
-        self.run_bar.start(f"Adding {in_text(candidate.effect)}", work, self.take)
+        self.run_bar.start(title, work, self.take)
+        self._enable()
+
+    def check_halves(self) -> None:
+        """Diagnose the two halves of the field apart."""
+        from napari_mufasa.discover import confirm_halves
+
+        movie, model, dark = self._recorded()
+        self._check("the two halves of the field, apart", lambda **how: confirm_halves(movie, model, dark, **how))
+
+    def check_other(self) -> None:
+        """Diagnose another movie of the same set-up, and try the completed model on it."""
+        from napari_mufasa.discover import confirm
+
+        layer, report = self.check.other.value, self.report
+        if layer is None or report is None:
+            raise MufasaError("choose another movie of the same set-up: open it, it is a layer then")
+        movie = measurement_of(layer).recorded().movie
+        _, model, dark = self._recorded()
+        self._check(layer.name, lambda **how: confirm(report, movie, model, dark, **how))
+
+    def _recorded(self) -> tuple[Any, Any, Any]:
+        measurement = self._examined["measurement"]
+        return measurement.movie, self._examined["investigation"].believed, measurement.dark
+
+    def _check(self, against: str, confirmed: Callable[..., Any]) -> None:
+        seed = self.form.seed.value
+
+        def work() -> Any:
+            progress, cancel = steering()
+            return confirmed(seed=seed, progress=progress, cancel=cancel)
+
+        def done(held: Any) -> None:
+            report, places = self._steps[-1]
+            report = replace(report, check=held.to_dict(against))
+            self._steps[-1] = report, places
+            self.check.show_report(report)
+
+        self.run_bar.start(f"Checking on {against}", work, done)
         self._enable()
 
     def undo(self) -> None:
@@ -205,7 +263,10 @@ class DiscoverPanel(Panel):
 
     def _enable(self) -> None:
         free = not self.run_bar.running
-        self.what.add_button.setEnabled(free and self.what.candidate is not None)
+        self.what.add_button.setEnabled(free and bool(self.what.to_add))
+        self.what.take_out_button.setEnabled(free and bool(self.what.to_take_out))
+        for check in (self.check.halves_button, self.check.other_button):
+            check.setEnabled(free and bool(self._examined))
         self.what.undo_button.setEnabled(free and len(self._steps) > 1)
         self.export_button.setEnabled(bool(self._steps))
 
