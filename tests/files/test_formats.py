@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.files.microscopes import WRITERS, write_czi, write_nd2, write_pma
 
 from napari_mufasa import MufasaError, files, preset
 from napari_mufasa.cli import main
@@ -14,39 +15,19 @@ from napari_mufasa.files.instrument import Instrument, _take, read_instrument
 from napari_mufasa.files.layers import get_reader, instrument_of, movie_layer
 from napari_mufasa.propose.written import as_written, values_written
 
-MOVIE = np.random.default_rng(3).integers(0, 200, (9, 16, 24))
-
-
-def write_pma(path, movie=MOVIE):
-    """As the software of single-molecule FRET does: two uint16, width and height, then the frames as uint8."""
-    head = np.array([movie.shape[2], movie.shape[1]], "<u2")
-    path.write_bytes(head.tobytes() + movie.astype(np.uint8).tobytes())
-    return path
-
-
-def write_czi(path, movie=MOVIE):
-    """By the writer of Zeiss' own library."""
-    czi = pytest.importorskip("pylibCZIrw.czi")
-    with czi.create_czi(str(path)) as file:
-        for t, frame in enumerate(movie.astype(np.uint16)):
-            file.write(data=frame[..., None], plane={"T": t, "C": 0, "Z": 0})
-        written = {"ExposureTime": 0.03, "EMGain": 250}
-        file.write_metadata("movie", scale_x=107.5e-9, scale_y=107.5e-9, custom_attributes=written)
-    return path
-
-
-WRITERS = {".pma": write_pma, ".czi": write_czi}
+MOVIE = np.random.default_rng(3).integers(1, 200, (9, 16, 24))
 
 
 @pytest.fixture(params=sorted(WRITERS))
 def path(request, tmp_path):
-    return WRITERS[request.param](tmp_path / f"movie{request.param}")
+    return WRITERS[request.param](tmp_path / f"movie{request.param}", MOVIE)
 
 
 # files of the format ------------------------------------------------------------------------------------------
 def test_movies_are_read_lazily_and_whole(path):
     read = files.read_movie(path)
-    assert read.data.shape == MOVIE.shape and read.data.dtype == (np.uint8 if path.suffix == ".pma" else np.uint16)
+    kind = {".pma": np.uint8, ".sif": np.float32}.get(path.suffix, np.uint16)
+    assert read.data.shape == MOVIE.shape and read.data.dtype == kind
     np.testing.assert_array_equal(files.load(path), MOVIE)
     np.testing.assert_array_equal(np.asarray(read.data[4]), MOVIE[4])
     np.testing.assert_array_equal(np.asarray(read.data[2:7, 3:9, ::2]), MOVIE[2:7, 3:9, ::2])
@@ -54,7 +35,7 @@ def test_movies_are_read_lazily_and_whole(path):
 
 def test_the_file_is_read_in_parts(tmp_path, monkeypatch):
     monkeypatch.setattr(formats, "CHUNK_BYTES", 2 * 16 * 24)
-    path = write_pma(tmp_path / "m.pma")
+    path = write_pma(tmp_path / "m.pma", MOVIE)
     read = files.read_movie(path)
     assert read.data.numblocks == (5, 1, 1)
     asked = []
@@ -65,7 +46,7 @@ def test_the_file_is_read_in_parts(tmp_path, monkeypatch):
 
 
 def test_what_a_czi_says_of_the_instrument_is_known_everywhere(tmp_path, capsys):
-    path = write_czi(tmp_path / "m.czi")
+    path = write_czi(tmp_path / "m.czi", MOVIE)
     written = read_instrument(path)
     assert written.pixel_size_nm == pytest.approx(107.5) and written.exposure_s == pytest.approx(0.03)
     assert written.em_gain == 250
@@ -79,12 +60,25 @@ def test_what_a_czi_says_of_the_instrument_is_known_everywhere(tmp_path, capsys)
     assert values_written(model, written) == {}
 
 
+@pytest.mark.parametrize(
+    ("suffix", "told"),
+    [
+        (".nd2", Instrument(em_gain=250, exposure_s=pytest.approx(0.03), interval_s=pytest.approx(0.04),
+                            pixel_size_nm=pytest.approx(107.5))),
+        (".sif", Instrument(camera="DU897_BV", em_gain=250, exposure_s=0.03, interval_s=0.04)),
+        (".lif", Instrument(interval_s=pytest.approx(0.04), pixel_size_nm=pytest.approx(107.5))),
+    ],
+)  # fmt: skip
+def test_what_files_say_of_the_instrument_is_known(tmp_path, suffix, told):
+    assert read_instrument(WRITERS[suffix](tmp_path / f"m{suffix}", MOVIE)) == told
+
+
 def test_movies_come_into_the_viewer_with_their_scale(path):
     data, options, kind = movie_layer(path)
     assert kind == "image" and data.shape == MOVIE.shape and options["name"] == "movie"
     read = get_reader(str(path))
     assert read is not None and read(str(path))[0][0].shape == MOVIE.shape
-    if path.suffix == ".czi":
+    if path.suffix in (".czi", ".nd2"):
         assert options["scale"] == pytest.approx((1.0, 0.1075, 0.1075)) and options["units"] == ("pixel", "um", "um")
         layer = SimpleNamespace(metadata=options["metadata"])
         assert instrument_of(layer).exposure_s == pytest.approx(0.03)
@@ -124,10 +118,48 @@ def test_damaged_files_are_told_in_one_line(tmp_path, suffix, content):
 
 
 def test_a_truncated_pma_is_told(tmp_path):
-    path = write_pma(tmp_path / "m.pma")
+    path = write_pma(tmp_path / "m.pma", MOVIE)
     path.write_bytes(path.read_bytes()[:-5])
     with pytest.raises(MufasaError, match="truncated"):
         files.read_movie(path)
+
+
+@pytest.mark.parametrize("suffix", sorted(WRITERS))
+def test_truncated_files_are_told_and_end(tmp_path, suffix):
+    """Wherever they end: told, or, where what is cut off is no more than the end's filling, read as they were."""
+    whole = WRITERS[suffix](tmp_path / f"whole{suffix}", MOVIE).read_bytes()
+    path = tmp_path / f"m{suffix}"
+    told = 0
+    for share in np.linspace(0.0, 0.999, 24):
+        path.write_bytes(whole[: int(share * len(whole))])
+        try:
+            np.testing.assert_array_equal(np.asarray(files.read_movie(path).data), MOVIE[: len(MOVIE)])
+        except MufasaError as error:
+            assert "\n" not in str(error) and str(path) in str(error)
+            told += 1
+    assert told >= 23
+
+
+def test_a_frame_that_a_nikon_file_lacks_is_not_read_as_zeros(tmp_path):
+    path = write_nd2(tmp_path / "m.nd2", MOVIE)
+    path.write_bytes(path.read_bytes().replace(b"ImageDataSeq|3!", b"ImageDataSeq|9!"))
+    with pytest.raises(MufasaError, match="lacks frame 3"):
+        np.asarray(files.read_movie(path).data)
+
+
+def test_a_leica_text_that_names_other_files_opens_none(tmp_path):
+    import tifffile
+
+    tifffile.imwrite(tmp_path / "secret.tif", MOVIE[0].astype(np.uint16))
+    xml = (
+        '<?xml version="1.0"?><LMSDataContainerHeader Version="2"><Element Name="m"><Data><Image/></Data>'
+        '<Memory Size="768" MemoryBlockID="MemBlock_1"><Frame File="secret.tif" Offset="0" Size="768" UUID="1"/>'
+        "</Memory></Element></LMSDataContainerHeader>"
+    )
+    for encoding in ("utf-8", "utf-16", "utf-16-le"):
+        (tmp_path / "m.lif").write_bytes(xml.encode(encoding))
+        with pytest.raises(MufasaError, match=r"no \.lif file"):
+            files.read_movie(tmp_path / "m.lif")
 
 
 def test_channels_are_refused_with_their_number(tmp_path):

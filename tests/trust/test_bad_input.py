@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.trust import broken_files
-from tests.trust.broken_files import DARK_MOVIES, MODELS, MOVIES, SHAPE, TRACES, counts, tiff
+from tests.trust.broken_files import DARK_MOVIES, MODELS, MOVIES, SHAPE, TRACES, tiff
+from tests.trust.refusal import BAD_STACKS, GOOD, MODEL, OBJECTS, PLAIN, SPOILT, check_line, not_none, refused
 
 import napari_mufasa as nm
 from napari_mufasa import files
@@ -26,56 +25,6 @@ from napari_mufasa.files.layers import get_reader, read_layers, write_image
 from napari_mufasa.files.traces import read_trace_file, write_trace_file
 from napari_mufasa.model.model import Model
 from napari_mufasa.simulate.layout import read_positions
-
-#: A line that helps says what to do.
-REMEDY = re.compile(
-    r"\b(give|choose|needs?|use|export|copy|crop|write|make|see|set|lower|record|take|drop|add|save|unpack|open|allow"
-    r"|did you mean|known keys|must|remove|check|should (be|have)|known effects|fill|clear|only)\b"
-)
-SMALL = {
-    "acquisition.shape_px": SHAPE[1:], "acquisition.n_frames": SHAPE[0], "sample.n_molecules": 4,
-    "excitation.power_density_w_per_cm2": 30,
-}  # fmt: skip
-MODEL = nm.preset("FF").with_values(SMALL)
-PLAIN = MODEL.to_dict()
-
-
-def check_line(told: str, word: str) -> None:
-    assert "\n" not in told and "Traceback" not in told and told.isprintable(), told
-    assert word in told, told
-    assert REMEDY.search(told), f"says not what to do: {told}"
-
-
-def everything(folder: Path) -> dict[str, bytes | None]:
-    """Every file below a folder with its content, pipes and links without."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes() if path.is_file() and not path.is_symlink() else None
-        for path in sorted(folder.rglob("*"))
-    }
-
-
-@pytest.fixture
-def place(tmp_path, monkeypatch) -> Path:
-    """The folder that a case works in, with a good model and a good movie."""
-    monkeypatch.chdir(tmp_path)
-    for name in ("in", "good", "out"):
-        (tmp_path / name).mkdir()
-    MODEL.to_json(tmp_path / "good/model.json")
-    tiff(tmp_path / "good", counts(), "movie.tif")
-    tiff(tmp_path / "good", counts(1)[:8], "dark.tif")
-    return tmp_path
-
-
-def refused(capfd: Any, place: Path, word: str, *arguments: object) -> None:
-    before = everything(place)
-    with pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    out, err = capfd.readouterr()
-    assert left.value.code == 2, (left.value.code, err)
-    assert err.endswith("\n") and err.startswith("napari-mufasa: ")
-    check_line(err.removesuffix("\n"), word)
-    assert out == ""
-    assert everything(place) == before
 
 
 # files at the command line ---------------------------------------------------------------------------------
@@ -258,21 +207,6 @@ BAD_COMMANDS: dict[str, tuple[str, str]] = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def more(place) -> Path:
-    """Files that cases of the command line use."""
-    for name in ("p.csv", "positions.csv"):
-        (place / "in" / name).write_text("y_px,x_px\n1,2\n3,4\n")
-    tiff(place / "in", counts()[:, :20], "other.tif")
-    tiff(place / "in", counts()[:1], "one.tif")
-    tiff(place / "in", counts()[:, :20, :20].copy(), "narrow.tif")
-    tiff(place / "in", counts(2), "dark.tif")
-    write_trace_file(place / "in/traces.csv", np.random.default_rng(0).normal(100, 5, (3, 20)))
-    MODEL.with_values({"camera.adc_max": 205, "camera.baseline_adu": 100}).to_json(place / "in/eight.json")
-    MODEL.with_values({"effects": [{"kind": "stage_drift"}]}).to_json(place / "in/drift.json")
-    return place
-
-
 @pytest.mark.parametrize("case", BAD_COMMANDS)
 def test_a_command(case, capfd, more):
     words, expected = BAD_COMMANDS[case]
@@ -280,19 +214,6 @@ def test_a_command(case, capfd, more):
 
 
 # Python ----------------------------------------------------------------------------------------------------
-GOOD = counts()
-SPOILT = GOOD.astype(float)
-SPOILT[3, 4, 5] = np.nan
-OBJECTS = np.array([[[broken_files.Boom()] * 16] * 16] * 4, dtype=object)
-BAD_STACKS: dict[str, Any] = {
-    "nothing": None, "a number": 5, "a path": "movie.tif", "a model": MODEL, "one axis": GOOD[0, 0],
-    "four axes": GOOD[None],
-    "colour": np.zeros((5, 32, 32, 3), np.uint8), "a colour image": np.zeros((32, 32, 3), np.uint8),
-    "five axes": GOOD[None, None], "no frame": GOOD[:0], "no pixel": GOOD[:, :0], "unequal lists": [[[1, 2]], [[1]]],
-    "text": GOOD.astype(str), "complex": GOOD.astype(complex), "yes and no": GOOD > 210, "objects": OBJECTS,
-    "nan": SPOILT, "infinite": np.where(np.isnan(SPOILT), np.inf, SPOILT), "negative": GOOD.astype(int) - 1000,
-    "masked": np.ma.masked_greater(GOOD, 230), "times": GOOD.astype("datetime64[s]"),
-}  # fmt: skip
 STACK_DOORS: dict[str, Callable[[Any], Any]] = {
     "denoise": lambda movie: nm.denoise(movie, MODEL.camera),
     "extract_traces": lambda movie: nm.extract_traces(movie, MODEL.camera),
@@ -301,14 +222,10 @@ STACK_DOORS: dict[str, Callable[[Any], Any]] = {
     "refine": lambda movie: nm.refine(movie, MODEL, ["stage_drift"]),
     "Investigation": lambda movie: nm.Investigation(movie, MODEL),
     "calibrate": lambda movie: nm.calibrate(movie),
-    "dark of extract_traces": lambda dark: nm.extract_traces(GOOD, MODEL.camera, NotNone(dark)),
-    "dark of diagnose": lambda dark: nm.diagnose(GOOD, MODEL, NotNone(dark)),
-    "dark of calibrate": lambda dark: nm.calibrate(GOOD, NotNone(dark)),
+    "dark of extract_traces": lambda dark: nm.extract_traces(GOOD, MODEL.camera, not_none(dark)),
+    "dark of diagnose": lambda dark: nm.diagnose(GOOD, MODEL, not_none(dark)),
+    "dark of calibrate": lambda dark: nm.calibrate(GOOD, not_none(dark)),
 }
-
-
-def NotNone(value: Any) -> Any:
-    return 0 if value is None else value
 
 
 @pytest.mark.parametrize("door", STACK_DOORS)

@@ -89,6 +89,54 @@ def test_processes_and_numbers_of_threads_agree(simulation, tmp_path):
     assert told[0][0] == hashlib.sha256(simulation.movie.tobytes()).hexdigest()
 
 
+#: What rounds in the last bit if anything does: photons by each method, and the simulated movie.
+ROUNDING = """
+import hashlib, json, sys
+import numpy as np
+import napari_mufasa as nm
+model = nm.Model.from_json(sys.argv[1])
+movie = nm.simulate(model, seed=11).movie
+of = lambda array: hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
+told = [of(movie), of(nm.denoise(movie, model.camera)), of(nm.denoise(movie[:1], model.camera))]
+told.append(of(nm.extract_traces(movie, model.camera, psf_sigma_px=model.sigma_px).all_traces))
+print(json.dumps(told))
+"""
+
+
+@pytest.mark.slow
+def test_compiling_threads_and_memory_change_no_bit(simulation, tmp_path):
+    """Loops just compiled, all found in files, some of them; memory that is not zero when it is handed out."""
+    MODEL.to_json(tmp_path / "model.json")
+    cache = tmp_path / "cache"
+
+    def told(**changed):
+        surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache)} | changed
+        command = [sys.executable, "-c", ROUNDING, str(tmp_path / "model.json")]
+        ran = subprocess.run(command, capture_output=True, text=True, env=surroundings)
+        assert ran.returncode == 0, ran.stderr[-2000:]
+        return json.loads(ran.stdout)
+
+    compiled = told()
+    assert compiled[0] == hashlib.sha256(simulation.movie.tobytes()).hexdigest()
+    kept = sorted(cache.rglob("*.nbi"))
+    assert len(kept) > 40
+    assert told(MALLOC_PERTURB_="165", OMP_NUM_THREADS="1", NUMBA_NUM_THREADS="1", PYTHONHASHSEED="3") == compiled
+    for file in kept[::2]:
+        file.unlink()
+    assert told(MALLOC_PERTURB_="90", OMP_NUM_THREADS="2", NUMBA_NUM_THREADS="2", PYTHONHASHSEED="4") == compiled
+
+
+@pytest.mark.parametrize("bytes_off", [2, 8, 18, 34, 62])
+def test_where_a_movie_lies_in_memory_changes_nothing(bytes_off, simulation):
+    movie = simulation.movie
+    room = np.zeros(movie.nbytes + 128, np.uint8)
+    begin = -room.ctypes.data % 64 + bytes_off
+    moved = room[begin : begin + movie.nbytes].view(movie.dtype).reshape(movie.shape)
+    moved[...] = movie
+    assert moved.ctypes.data % 64 == bytes_off
+    np.testing.assert_array_equal(nm.denoise(moved, MODEL.camera), nm.denoise(movie, MODEL.camera))
+
+
 @pytest.mark.parametrize("chunks", [(1, 40, 48), (33, 40, 48), (90, 13, 17)])
 def test_chunks_of_a_lazy_movie_change_nothing(chunks, simulation):
     lazy = da.from_array(simulation.movie, chunks=chunks)

@@ -10,6 +10,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import MOVIE_SUFFIXES
 
 COLUMNS = ("movie", "condition", "model", "dark")
+SEPARATORS = ",;\t"
 
 
 @dataclass(frozen=True)
@@ -76,16 +77,18 @@ def _listed(source: Path) -> list[tuple[Path, str, Path | None, Path | None]]:
         raise MufasaError(f"{source} is no list: give a folder, a CSV table or one path in a line") from None
     if not lines:
         raise MufasaError(f"{source} is empty: give one movie in a line")
-    if "movie" not in [cell.strip() for cell in re.split("[,;\t]", lines[0])]:
+    if "movie" not in [cell.strip() for cell in re.split(f"[{SEPARATORS}]", lines[0])]:
         return [(_from(source, line.strip()), "", None, None) for line in lines]
     try:
-        table = pd.read_csv(source, sep=None, engine="python", dtype=str, encoding="utf-8-sig").fillna("")
+        # Not guessed by the reader: of a table of one column it takes a letter of the head for the separator.
+        mark = next((mark for mark in SEPARATORS if mark in lines[0]), ",")
+        table = pd.read_csv(source, sep=mark, engine="python", dtype=str, encoding="utf-8-sig").fillna("")
     except ValueError as error:
         raise MufasaError(f"{source} is not a readable table ({error}): write it anew") from None
     table.columns = [str(name).strip() for name in table.columns]
     unknown = [name for name in table.columns if name not in COLUMNS]
     if unknown:
-        raise MufasaError(f"{source} has a column {unknown[0]!r}: a list has {', '.join(COLUMNS)}")
+        raise MufasaError(f"{source} has a column {unknown[0]!r}: drop it; a list has {', '.join(COLUMNS)}")
     rows = []
     for row in table.to_dict("records"):
         paths = {key: _from(source, text) if (text := str(row.get(key, "")).strip()) else None for key in COLUMNS}

@@ -86,7 +86,7 @@ def calibrate(
     shape = tuple(movie.shape)
     if shape[0] < 4:
         raise MufasaError(f"movie has shape {shape}: calibration needs at least 4 frames (frame, y, x)")
-    _check_given(camera_type, em_gain, electrons_per_adu, quantum_efficiency, excess_noise_factor, baseline_adu)
+    check_given(camera_type, em_gain, electrons_per_adu, quantum_efficiency, excess_noise_factor, baseline_adu)
     if dark is not None:
         dark = checks.stack(dark, "dark")
         if dark.shape[1:] == shape[1:] and (told := light_in_dark(movie, dark)):
@@ -138,9 +138,9 @@ def calibrate(
     return replace(found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full)
 
 
-def _check_given(
-    camera_type: Any, em_gain: Any, electrons_per_adu: Any, quantum_efficiency: Any, excess_noise_factor: Any,
-    baseline_adu: Any,
+def check_given(
+    camera_type: Any, em_gain: Any, electrons_per_adu: Any, quantum_efficiency: Any, excess_noise_factor: Any = None,
+    baseline_adu: Any = None,
 ) -> None:  # fmt: skip
     """Values that the user knows, within what a camera can have."""
     checks.choice(camera_type, "camera_type", get_args(CameraType))

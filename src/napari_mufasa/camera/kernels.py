@@ -13,15 +13,14 @@ import numpy as np
 from napari_mufasa.camera.register import electrons_after_gain
 from napari_mufasa.chance.variates import (
     gamma,
-    jit,
     normal_quantile,
     poisson,
     poisson_row,
     stream,
     tails,
     uniforms,
-    vectorised,
 )
+from napari_mufasa.compiled import inlined, jit
 
 
 @jit
@@ -75,7 +74,7 @@ def read_out(electrons, sigma, mean, frames, key):  # type: ignore[no-untyped-de
             add_normal(electrons[f, y], np.float32(mean), sigma[y], tail)
 
 
-@vectorised
+@inlined
 def add_normal(values, mean, sigma, tail):  # type: ignore[no-untyped-def]
     for x in range(values.size):
         values[x] += mean + sigma[x] * normal_quantile(tail[x])
@@ -120,7 +119,7 @@ def digitise_unevenly(electrons, electrons_per_adu, baseline, most, begins):  # 
     return counts
 
 
-@vectorised
+@inlined
 def number_row(electrons, electrons_per_adu, baseline, first, most, code, turn, step, counts):  # type: ignore[no-untyped-def]
     period, top = np.float32(code.size // FINE), np.float32(most)
     cells, last = np.float32(FINE), np.int32(code.size - 1)

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scipy import special
 from scipy.interpolate import PchipInterpolator
 
-from napari_mufasa.chance.variates import jit, normal_quantile, vectorised
+from napari_mufasa.chance.variates import normal_quantile
+from napari_mufasa.compiled import inlined, jit
 
 LAST_ROOT, ROOT_CELLS = 6.0, 192  # of √λ; linear in between, within 1e-4 of the value
 LAST_SCORE, SCORE_CELLS = 6.0, 96  # of z, both sides
@@ -45,7 +46,7 @@ def quantile_roots() -> NDArray[np.float32]:
     return np.asarray(table, dtype=np.float32)
 
 
-@vectorised
+@inlined
 def chances(mean, none, some):  # type: ignore[no-untyped-def]
     """e^−mean and 1 − e^−mean (n,) float32, both exact in proportion: by the series at mean/64, doubled six times."""
     for x in range(mean.size):
@@ -61,7 +62,7 @@ def chances(mean, none, some):  # type: ignore[no-untyped-def]
         none[x], some[x] = e, s
 
 
-@vectorised
+@inlined
 def scores(tail, none, some, z):  # type: ignore[no-untyped-def]
     """The normal score of the chance left when an electron comes (n,); `_NONE` where none does."""
     for x in range(tail.size):
@@ -74,7 +75,7 @@ def scores(tail, none, some, z):  # type: ignore[no-untyped-def]
         z[x] = normal_quantile(inner) if below > np.float32(0.0) else _NONE
 
 
-@vectorised
+@inlined
 def places(mean, z, cell, along, across):  # type: ignore[no-untyped-def]
     """Where the table is read (n,): the cell's number in the flat table, and how far along √λ and across z within."""
     for x in range(mean.size):
@@ -86,7 +87,7 @@ def places(mean, z, cell, along, across):  # type: ignore[no-untyped-def]
         cell[x] = np.int32(i * np.int32(SCORE_CELLS + 1) + j)
 
 
-@vectorised
+@inlined
 def look_up(cell, along, across, flat, out):  # type: ignore[no-untyped-def]
     """The square of the table's root (n,)."""
     right, below = np.uint64(1), np.uint64(SCORE_CELLS + 1)

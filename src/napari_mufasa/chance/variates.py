@@ -15,10 +15,10 @@ Import this module only where a kernel is compiled: it needs numba.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numba import njit
+
+from napari_mufasa.compiled import inlined, jit
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -32,8 +32,6 @@ _COEFFICIENTS = tuple(np.float32(c) for c in (
     3.103046097, 3.230008607, 0.4018923868, -0.8015023434, 0.9417267817, -0.1240975447, -1.224035533,
     0.9440984023, 1.002212449, -1.207067598, -0.4767014535, 0.7349680110, 0.1004871278, -0.1811063797,
 ))  # fmt: skip
-jit: Any = njit(cache=True, nogil=True, error_model="numpy")
-vectorised: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 
 
 @jit
@@ -69,7 +67,7 @@ def normal(state):  # type: ignore[no-untyped-def]
     return normal_quantile(np.float32(-u if u < 0.5 else 1.0 - u)), state
 
 
-@vectorised
+@inlined
 def log(x):  # type: ignore[no-untyped-def]
     """Natural logarithm of a float32 above 1e-37, within 1e-6."""
     bits = np.float32(x).view(np.int32)
@@ -82,7 +80,7 @@ def log(x):  # type: ignore[no-untyped-def]
     return np.float32(2.0) * t * series + np.float32(exponent) * np.float32(math.log(2.0))
 
 
-@vectorised
+@inlined
 def normal_quantile(tail):  # type: ignore[no-untyped-def]
     """The standard normal's value at a tail (float32): below −tail lies the chance −tail, above tail the chance tail.
 
@@ -188,7 +186,7 @@ def tails(key, i, first, bits, out):  # type: ignore[no-untyped-def]
         out[x] = -p if high >= 0 else p
 
 
-@vectorised
+@inlined
 def exp_minus(mean, out):  # type: ignore[no-untyped-def]
     """e^−mean (n,): for means up to 40 as e^(−r)⁶⁴, the series good to 1e-11; above, less than 1e-17."""
     for x in range(mean.size):
@@ -201,7 +199,7 @@ def exp_minus(mean, out):  # type: ignore[no-untyped-def]
         out[x] = e
 
 
-@vectorised
+@inlined
 def poisson_row(mean, u, terms, p, below, k):  # type: ignore[no-untyped-def]
     """Poisson by inversion of u for means up to 30, all (n,): counts into k (float64); p and below are scratch.
 

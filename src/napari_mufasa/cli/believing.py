@@ -46,6 +46,7 @@ def calibrate(
     from napari_mufasa.calibrate.measure import calibrate as measure
     from napari_mufasa.files.instrument import read_instrument
 
+    console.check_apart(out, report, figure)
     for path in (out, report, figure):
         if path is not None:
             console.check_file_out(path, overwrite)
@@ -104,6 +105,7 @@ def propose(
     from napari_mufasa.files.instrument import read_instrument
     from napari_mufasa.propose import propose_model
 
+    console.check_apart(out, report)
     for path in (out, report):
         if path is not None:
             console.check_file_out(path, overwrite)
@@ -136,6 +138,7 @@ def infer(
     from napari_mufasa.infer import infer_photophysics
     from napari_mufasa.model.model import Model
 
+    console.check_apart(out, report)
     for path in (out, report):
         if path is not None:
             console.check_file_out(path, overwrite)

@@ -112,6 +112,14 @@ def check_not_read(out: Path, *inputs: Path | None) -> None:
             raise MufasaError(f"{out} is also read: choose another output path")
 
 
+def check_apart(*outputs: Path | None) -> None:
+    """Two outputs must not be one file: the second would take the place of the first."""
+    given = [path.absolute() for path in outputs if path is not None]
+    for path in given:
+        if given.count(path) > 1:
+            raise MufasaError(f"{path.name} is given for the same output twice: give each output a file of its own")
+
+
 def check_room(path: Path, n_bytes: int) -> None:
     """Fail before the work when the disk has no room for a movie; zarr packs counts to about half."""
     free = shutil.disk_usage(path.parent).free

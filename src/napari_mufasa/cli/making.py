@@ -184,6 +184,7 @@ def design(
     from napari_mufasa.design.predict import design as sweep
     from napari_mufasa.model.model import Model
 
+    console.check_apart(out, out_model, figure)
     for path in (out, out_model, figure):
         if path is not None:
             console.check_file_out(path, overwrite)

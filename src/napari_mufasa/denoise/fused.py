@@ -12,7 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
+
+from napari_mufasa.compiled import inlined, vectorised
 
 from .kernels import EIGHTH, NARROW, ONE, OWN, PER_GUIDE, SPATIAL, WIDE, ZERO
 
@@ -43,7 +44,7 @@ OUT0, OUT1, OUT2 = 6 * PITCH, 7 * PITCH, 8 * PITCH
 SHEET = 9 * PITCH
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _blocks(out: Array, top_left: Array, top_right: Array, low_left: Array, low_right: Array) -> None:
     """Block sums and details from two rows of children."""
     for c in range(len(top_left)):
@@ -55,13 +56,13 @@ def _blocks(out: Array, top_left: Array, top_right: Array, low_left: Array, low_
         out[B_D2 + c] = left - right
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _copy(out: Array, a: Array) -> None:
     for c in range(len(out)):
         out[c] = a[c]
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _beside(out: Array, b: Array, both: Array, far: int) -> None:
     """A row of the ring from a buffer that begins ``far`` blocks before the strip."""
     left, here, right = b, b[far:], b[2 * far :]
@@ -83,7 +84,7 @@ def _beside(out: Array, b: Array, both: Array, far: int) -> None:
         out[SIDE2 + c] = both[c] * (z_l + z_r)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _enter(slot: Array, wide: Array, both: Array, a: Array, s_out: Array, r: int, first: int, n: int, h: int) -> None:
     """Row ``r`` of the blocks first … first + n - 1 into its place in the ring, and its block sums into ``s_out``."""
     far = 2 * h
@@ -101,7 +102,7 @@ def _enter(slot: Array, wide: Array, both: Array, a: Array, s_out: Array, r: int
     _beside(slot, wide, both, far)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _energy(t: Array, g: Array, share: Any) -> None:
     """Add a guide's squares to the energy at each block."""
     for c in range(WIDTH):
@@ -109,7 +110,7 @@ def _energy(t: Array, g: Array, share: Any) -> None:
         t[ENERGY + c] += share * (x * x + y * y + z * z)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _classed(t: Array, up: Array, here: Array, down: Array, alpha: float, n_rows: int, share_beside: Any) -> None:
     """Inverse noise level of each block, and how empty its surroundings are."""
     own, other = np.float32(OWN * alpha), np.float32((1.0 - OWN) * alpha)
@@ -133,7 +134,7 @@ def _classed(t: Array, up: Array, here: Array, down: Array, alpha: float, n_rows
         t[NEARLY + c] = left * left
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _spatial(t: Array, up: Array, here: Array, down: Array, w: Array, scale: Any, inside: Any) -> None:
     """The weighted sum of the candidates made of the frame alone; ``inside`` is 0 without a row above or below."""
     w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
@@ -154,7 +155,7 @@ def _spatial(t: Array, up: Array, here: Array, down: Array, w: Array, scale: Any
         t[OUT2 + c] = factor * z + beside * here[SIDE2 + c] + inside * (e + beside * (up[D2 + c] + down[D2 + c]))
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _guided(t: Array, here: Array, g: Array, w: Array, scale: Any) -> None:
     """Add the weighted candidates of one guide."""
     w0, w1, w2, w3, w4 = w[0], w[1], w[2], w[3], w[4]
@@ -171,7 +172,7 @@ def _guided(t: Array, here: Array, g: Array, w: Array, scale: Any) -> None:
         t[OUT2 + c] += direct * z + kept * e
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _gather(t: Array, top_left: Array, top_right: Array, low_left: Array, low_right: Array) -> None:
     """Add a row of details to its blocks' four children."""
     for c in range(len(top_left)):
@@ -184,7 +185,7 @@ def _gather(t: Array, top_left: Array, top_right: Array, low_left: Array, low_ri
         low_right[c] += (t[OUT2 + c] - t[OUT0 + c]) - t[OUT1 + c]
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def level_pass(
     a: Array, guides: Array, variance: Array, alpha: float, width: float, guide_noise: Array, w: Array, h: int
 ) -> tuple[Array, Array, Array]:
@@ -243,7 +244,7 @@ def level_pass(
     return s_out, g_out, out
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def settle(s: Array, out: Array, h: int) -> None:
     """Add the scaling coefficients ``s`` to the gathered details and divide by what covers each place, in place."""
     rows, cols = out.shape

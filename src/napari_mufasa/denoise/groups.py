@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
+
+from napari_mufasa.compiled import inlined, vectorised
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,7 +33,7 @@ COSINES = _cosines()
 AREA = SIDE * SIDE
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _times(out: Array, a: Array, b: Array) -> None:
     """``out = a @ b`` of square matrices in rows of `SIDE`.
 
@@ -55,7 +56,7 @@ def _times(out: Array, a: Array, b: Array) -> None:
         out[j + 4], out[j + 5], out[j + 6], out[j + 7] = s4, s5, s6, s7
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _along(group: Array, n: int, work: Array, inverse: bool) -> None:
     """Orthonormal Haar transform in place along the first axis of ``group`` (n, 64); n is a power of two."""
     root = np.float32(np.sqrt(0.5))
@@ -76,7 +77,7 @@ def _along(group: Array, n: int, work: Array, inverse: bool) -> None:
         size = size * 2 if inverse else half
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _apart(line: Array, pilot: Array, r: int, i: int, shift: int, first: int, last: int) -> None:
     """Squared distances, for the columns first … last - 1, of the patches at row ``r`` from those at ``i``, shifted.
 
@@ -95,14 +96,14 @@ def _apart(line: Array, pilot: Array, r: int, i: int, shift: int, first: int, la
     _pairs(line[1], line[0], first, last - 7, 4)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _pairs(out: Array, a: Array, first: int, last: int, step: int) -> None:
     target, here, ahead = out[first:last], a[first:last], a[first + step : last + step]
     for c in range(len(target)):
         target[c] = here[c] + ahead[c]
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _squares(out: Array, a0: Array, a1: Array, b0: Array, b1: Array, fresh: bool) -> None:
     kept = np.float32(0.0) if fresh else np.float32(1.0)
     for c in range(len(out)):
@@ -110,7 +111,7 @@ def _squares(out: Array, a0: Array, a1: Array, b0: Array, b1: Array, fresh: bool
         out[c] = kept * out[c] + (x * x + y * y)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _nearest(pilot: Array, r: int, columns: Array, places: Array, far: Array, found: Array, line: Array) -> None:
     """For each patch of row ``r``: the places of the ``GROUP`` patches of the pilot most like it, the nearest first."""
     rows, cols = pilot.shape
@@ -139,7 +140,7 @@ def _nearest(pilot: Array, r: int, columns: Array, places: Array, far: Array, fo
                 found[m] = min(n + 1, GROUP)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _spectra(
     image: Array, places: Array, n: int, basis: Array, back: Array, out: Array, block: Array, work: Array
 ) -> None:
@@ -155,7 +156,7 @@ def _spectra(
     _along(out, n, work, False)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _weakened(data: Array, guess: Array) -> Any:
     """Wiener filter of one spectrum, in place; returns the noise that it lets through."""
     power = np.float32(0.0)
@@ -167,7 +168,7 @@ def _weakened(data: Array, guess: Array) -> Any:
     return power
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def filtered(z: Array, pilot: Array, window: Array, basis: Array, step: int, begin: int, end: int) -> Array:
     """White data ``z`` filtered group by group; ``pilot`` in the same units.
 

@@ -13,7 +13,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
+
+from napari_mufasa.compiled import inlined, vectorised
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +37,7 @@ def levels_for(shape: tuple[int, ...], wanted: int) -> int:
     return level
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def analyse(a: Array, h: int, flat: bool) -> tuple[Array, Array]:
     """One level (half block ``h``): scaling coefficients (rows, cols) and detail bands (1 or 3, rows, cols)."""
     cols = a.shape[1] - h
@@ -61,7 +62,7 @@ def analyse(a: Array, h: int, flat: bool) -> tuple[Array, Array]:
     return s, d
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def children_sum(a: Array, h: int, flat: bool) -> Array:
     """Sum over the children of every block."""
     cols = a.shape[1] - h
@@ -80,7 +81,7 @@ def children_sum(a: Array, h: int, flat: bool) -> Array:
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def covered(b: Array, h: int, flat: bool) -> Array:
     """``b`` over the number of children per block and of blocks that cover each place: the synthesis's weights."""
     rows, cols = b.shape
@@ -94,7 +95,7 @@ def covered(b: Array, h: int, flat: bool) -> Array:
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def spread(band: Array, h: int, signs: Array, out: Array) -> None:
     """Add a band of rows with its children's signs to ``out`` (the level below), not yet divided by the coverage."""
     rows, cols = band.shape
@@ -105,7 +106,7 @@ def spread(band: Array, h: int, signs: Array, out: Array) -> None:
             out[r, c + h] += signs[1] * band[r, c]
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _shared(out: Array, h: int) -> None:
     """Divide each place by the number of children per block and of blocks that cover it."""
     rows, cols = out.shape
@@ -120,7 +121,7 @@ def _shared(out: Array, h: int) -> None:
             out[r, c] *= single
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def _gathered(s: Array, a: Array, b: Array, e: Array, h: int, rows: int, cols: int) -> Array:
     """`synthesise` of all bands at once: each row of blocks is spread over its two rows of children.
 
@@ -144,7 +145,7 @@ def _gathered(s: Array, a: Array, b: Array, e: Array, h: int, rows: int, cols: i
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def _lifted(s: Array, h: int, rows: int, cols: int) -> Array:
     """`synthesise` of scaling coefficients alone."""
     out = np.empty((rows, cols), s.dtype)
@@ -194,7 +195,7 @@ def synthesise(low: Array | None, bands: Array | None, h: int, flat: bool) -> Ar
     return level_below
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _add_shifted(total: Array, a: Array, dr: int, dc: int) -> None:
     rows, cols = a.shape
     first, last = max(0, -dc), min(cols, cols - dc)
@@ -204,7 +205,7 @@ def _add_shifted(total: Array, a: Array, dr: int, dc: int) -> None:
             here[c] += there[c]
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def mean_beside(a: Array, distance: int, flat: bool) -> Array:
     """Mean over the (two or eight) blocks ``distance`` away; 0 where there are none.
 
@@ -238,7 +239,7 @@ def mean_beside(a: Array, distance: int, flat: bool) -> Array:
     return total
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def _squares(d: Array, scale: float) -> Array:
     bands, rows, cols = d.shape
     out = np.zeros((rows, cols), d.dtype)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
+
+from napari_mufasa.compiled import inlined, vectorised
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,7 +39,7 @@ def per_level(guides: int) -> int:
     return SPATIAL + PER_GUIDE * guides
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@inlined
 def _class_weight(energy: Any) -> Any:
     """Smoothly 1 where the neighbourhood is empty, 0 where it is full: a cheap stand-in for exp(-energy)."""
     rest = max(ZERO, ONE - EIGHTH * energy)
@@ -47,7 +48,7 @@ def _class_weight(energy: Any) -> Any:
     return rest * rest
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def surroundings(s_beside: Array, energy: Array, variance: Array, alpha: float) -> tuple[Array, Array, Array]:
     """Noise level without the block's own share, and the two class weights; none depends on the block's own pixels."""
     rows, cols = s_beside.shape
@@ -71,7 +72,7 @@ def surroundings(s_beside: Array, energy: Array, variance: Array, alpha: float) 
     return rest, narrow, wide
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def bumps(d: Array, s: Array, rest: Array, guide: Array, own: float, width: float) -> Array:
     """Share of each block's details (less the guide's) that the threshold keeps as noise-like: 1 at 0, 0 far out."""
     rows, cols = s.shape
@@ -88,7 +89,7 @@ def bumps(d: Array, s: Array, rest: Array, guide: Array, own: float, width: floa
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def linear_terms(d: Array, y: Array, v: Array, step_mean: float, bands: float) -> Array:
     """Risk terms of the details themselves, per block; ``y`` and ``v`` (child, rows, cols) as in `threshold_terms`.
 
@@ -106,7 +107,7 @@ def linear_terms(d: Array, y: Array, v: Array, step_mean: float, bands: float) -
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _threshold_term(
     out: Array, block: Array, s: Array, rest: Array, yk: Array, vk: Array, step: Any, share: Any, sign_a: Any,
     sign_b: Any, own: Any, scale: Any, bands: Any,
@@ -131,7 +132,7 @@ def _threshold_term(
         out[c] += share * (yk[c] * (cube * left * signed) - vk[c] * change)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def threshold_terms(
     d: Array,
     s: Array,
@@ -210,7 +211,7 @@ def _sides(n: int, length: int) -> tuple[slice, slice, slice]:
 CHUNK = 512
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def gram(rows: Array) -> Array:
     """Products of all rows with each other, float64.
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
+
+from napari_mufasa.compiled import inlined, vectorised
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -38,7 +39,7 @@ TAPS = (1.0 / 9.0, 2.0 / 9.0, 3.0 / 9.0)
 SHARE = (2 * TAPS[0] ** 2 + 2 * TAPS[1] ** 2 + TAPS[2] ** 2) ** 2
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _along_row(out: Array, a: Array) -> None:
     """A row smoothed with `TAPS`, the outermost pixels repeated; ``a`` and ``out`` must not overlap."""
     cols = len(a)
@@ -53,7 +54,7 @@ def _along_row(out: Array, a: Array) -> None:
             out[c] = total + near * (a[max(c - 1, 0)] + a[min(c + 1, cols - 1)])
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _across_rows(out: Array, ring: Array, r: int, rows: int) -> None:
     """Row ``r`` of the smoothed image from a ring of five rows that are smoothed along themselves."""
     far, near, middle = np.float32(TAPS[0]), np.float32(TAPS[1]), np.float32(TAPS[2])
@@ -63,7 +64,7 @@ def _across_rows(out: Array, ring: Array, r: int, rows: int) -> None:
         out[c] = far * (a0[c] + a4[c]) + near * (a1[c] + a3[c]) + middle * a2[c]
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def smooth(a: Array) -> Array:
     """``a`` smoothed with `TAPS` along both axes; the outermost pixels are repeated."""
     rows, cols = a.shape
@@ -77,7 +78,7 @@ def smooth(a: Array) -> Array:
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _mean_of_recent(out: Array, y: Array, before: Array, earlier: Array, k: int) -> None:
     """Mean of the last ``k`` (1 to 3) frames of a row."""
     second, third = np.float32(k > 1), np.float32(k > 2)
@@ -86,7 +87,7 @@ def _mean_of_recent(out: Array, y: Array, before: Array, earlier: Array, k: int)
         out[c] = share * (y[c] + second * before[c] + third * earlier[c])
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _believed(out: Array, s_recent: Array, s_mean: Array, number: Array, variance: Array, alpha: float, k: int) -> None:
     """How far a row's longer mean still holds, from 0 to 1."""
     floor, alpha32, share = np.float32(FLOOR * alpha), np.float32(alpha), np.float32(SHARE)
@@ -98,7 +99,7 @@ def _believed(out: Array, s_recent: Array, s_mean: Array, number: Array, varianc
         out[c] = min(max((top - apart * apart / max(level, tiny)) * inverse_span, zero), one)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _followed(out: Array, kept: Array, number: Array, mean: Array, y: Array, recent: Array) -> None:
     """The mean with the new frame where it still holds, else that of the recent frames."""
     one = np.float32(1.0)
@@ -107,14 +108,14 @@ def _followed(out: Array, kept: Array, number: Array, mean: Array, y: Array, rec
         out[c] = recent[c] + kept[c] * (longer - recent[c])
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _counted(out: Array, kept: Array, number: Array, k: int, most: float) -> None:
     one, limit, after = np.float32(1.0), np.float32(most), np.float32(min(k, 2))
     for c in range(len(out)):
         out[c] = after + kept[c] * (min(number[c] + one, limit) - after)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def _step(
     y: Array, before: Array, earlier: Array, k: int, mean: Array, number: Array, variance: Array, alpha: float,
     most: float,
@@ -142,7 +143,7 @@ def _step(
     return s_mean, new_mean, new_number
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@vectorised
 def _joined(
     past: Array, n_past: Array, s_past: Array, future: Array, n_future: Array, s_future: Array, s_now: Array,
     variance: Array, alpha: float, trust: float,
@@ -172,7 +173,7 @@ def _joined(
     return out, total / (rows * cols)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inlined
 def _joined_row(
     out: Array, past: Array, n_past: Array, s_past: Array, future: Array, n_future: Array, s_future: Array,
     s_now: Array, variance: Array, alpha: float, trust: float,

@@ -75,6 +75,7 @@ def solve(model: Model, targets: Mapping[str, float], vary: str = POWER) -> Solu
     MufasaError : unknown names; a first target that no value meets or that all meet.
     """
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    checks.need(targets, Mapping, "targets", "give a dictionary, as {'snr_spot': 5}")
     if vary not in numbers():
         raise MufasaError(f"{vary} is no number of a model: choose one of {', '.join(numbers())}")
     if not targets:

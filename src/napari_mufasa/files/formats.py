@@ -6,6 +6,7 @@ of head are read here.
 
 from __future__ import annotations
 
+import io
 import re
 import threading
 import warnings
@@ -22,6 +23,7 @@ from napari_mufasa.errors import MufasaError
 
 Read = Callable[[int], NDArray[Any]]
 CHUNK_BYTES = 2**22
+MOST_TEXT_BYTES = 2**24
 WORDS = {"C": "channels", "Z": "planes (z)", "P": "positions", "M": "tiles", "S": "scenes or colours"}
 
 
@@ -103,7 +105,16 @@ def _nd2(path: Path) -> Opened:
     @contextmanager
     def reading() -> Iterator[Read]:
         with nd2.ND2File(path) as file:
-            yield lambda number: np.asarray(file.read_frame(number)).reshape(shape[1:])
+
+            def read(number: int) -> NDArray[Any]:
+                # A copy: the library gives the file's own memory, which is gone once the file is closed.
+                frame = np.array(file.read_frame(number)).reshape(shape[1:])
+                # The library gives zeros for frames that a truncated file lacks; no camera records a frame of zeros.
+                if not frame.any():
+                    raise MufasaError(f"{path} lacks frame {number}: copy it anew")
+                return frame
+
+            yield read
 
     with nd2.ND2File(path) as file:
         sizes = dict(file.sizes)
@@ -126,7 +137,7 @@ def _nd2_settings(file: Any) -> Iterator[tuple[str, Any]]:
 def spoken(text: str) -> Iterator[tuple[str, Any]]:
     """(name, value) pairs of lines like "Exposure: 30 ms", times in the unit that the name stands for elsewhere."""
     factor = {"s": 1e3, "ms": 1.0, "µs": 1e-3, "us": 1e-3, "min": 6e4}
-    for name, value in re.findall(r"^\s*([A-Za-z][\w .\-]{1,40}?)\s*[=:]\s*(\S[^\r\n]*)$", text, re.MULTILINE):
+    for name, value in re.findall(r"^\s*([A-Za-z][\w .\-]{1,40}?)\s*[=:]\s*(\S[^\r\n]*)\r?$", text, re.MULTILINE):
         if name.strip().lower() in ("exposure", "exposure time"):
             timed = re.match(r"([\d.]+)\s*(s|ms|µs|us|min)\b", value)
             if timed:
@@ -138,15 +149,27 @@ def spoken(text: str) -> Iterator[tuple[str, Any]]:
 # Andor ----------------------------------------------------------------------------------------------------
 def _sif(path: Path) -> Opened:
     sif = _library("sif_parser", "sif_parser")
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), _EndsInWords(path.open("rb", buffering=0)) as file:
         warnings.simplefilter("ignore")
-        data, info = sif.np_open(str(path), lazy="memmap")
+        data, info = sif.np_open(file, lazy="memmap")
 
     @contextmanager
     def reading() -> Iterator[Read]:
         yield lambda number: np.asarray(data[number])
 
     return Opened(FrameReader(data.shape, data.dtype, reading), tuple((k, v) for k, v in info.items()))
+
+
+class _EndsInWords(io.BufferedReader):
+    """A file whose end is an error: the library would ask for the next word for ever."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > MOST_TEXT_BYTES:
+            raise ValueError(f"a text of {size} bytes")
+        data = super().read(size)
+        if not data and size != 0:
+            raise EOFError("it ends too early")
+        return data
 
 
 # Zeiss ----------------------------------------------------------------------------------------------------
@@ -204,6 +227,10 @@ def _listed(found: Any) -> Sequence[Mapping[str, Any]]:
 # Leica ----------------------------------------------------------------------------------------------------
 def _lif(path: Path) -> Opened:
     lif = _library("liffile", "liffile")
+    with path.open("rb") as start:
+        # The library also takes texts that name the files where the pixels are; those would be opened.
+        if start.read(4) != b"\x70\0\0\0":
+            raise MufasaError(f"{path} is no .lif file, or damaged: export it anew")
 
     @contextmanager
     def reading() -> Iterator[Read]:

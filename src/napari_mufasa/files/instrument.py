@@ -105,7 +105,7 @@ def _everything(file: Any) -> Iterator[tuple[str, Any]]:
         if 0 <= start < end:
             with contextlib.suppress(json.JSONDecodeError):
                 yield from _flat(json.loads(text[start : end + 1]))
-        yield from re.findall(r"^\s*([A-Za-z][\w .\-]{1,40}?)\s*[=:]\s*(\S[^\r\n]*)$", text, re.MULTILINE)
+        yield from re.findall(r"^\s*([A-Za-z][\w .\-]{1,40}?)\s*[=:]\s*(\S[^\r\n]*)\r?$", text, re.MULTILINE)
     if str(described.get("unit", "")) in MICROMETRES and "XResolution" in page.tags:
         over, under = page.tags["XResolution"].value
         if over and under and over != under:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.errors import Cancelled
+from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.infer.hidden import Hidden
 
 if TYPE_CHECKING:
@@ -165,6 +165,8 @@ def _start(
     both_lit, both_dark = seen.lit[:, 1:] & seen.lit[:, :-1], ~seen.lit[:, 1:] & ~seen.lit[:, :-1]
     v1 = float(np.median(apart[both_lit])) if both_lit.any() else float(np.var(lit))
     v0 = float(np.median(apart[both_dark])) if both_dark.sum() > 20 else v1 / 2
+    if not min(v0, v1) > 0:
+        raise MufasaError("the traces do not scatter from frame to frame: give them as measured, not idealised")
     n = len(problem.traces)
     guess = {
         "bleaching": max(int((seen.bleaching_frame >= 0).sum()), 0.5) / bright_s,

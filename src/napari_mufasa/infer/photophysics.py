@@ -76,7 +76,7 @@ def infer_photophysics(
 
     Raises
     ------
-    MufasaError : fewer than 5 traces, too few frames, traces without light.
+    MufasaError : fewer than 5 traces, too few frames, traces without light or without noise.
     """
     from napari_mufasa.compare.comparison import to_photoelectrons
     from napari_mufasa.traces.dynamics import dynamics
@@ -86,9 +86,9 @@ def infer_photophysics(
     if isinstance(traces, TraceSet):
         pixel_share = traces.pixel_share if pixel_share is None else pixel_share
         traces = traces.all_traces[traces.kept]
-    if np.ndim(traces) == 2 and len(traces) < LEAST_MOLECULES:
-        raise MufasaError(f"{len(traces)} traces are too few to infer rates from: give {LEAST_MOLECULES} or more")
     electrons = to_photoelectrons(traces, model, unit) / (pixel_share or 1.0)
+    if len(electrons) < LEAST_MOLECULES:
+        raise MufasaError(f"{len(electrons)} traces are too few to infer rates from: give {LEAST_MOLECULES} or more")
     if electrons.shape[1] < 10:
         raise MufasaError(f"traces of {electrons.shape[1]} frames are too short to infer rates from: give 10 or more")
     tell = progress or (lambda done, total: None)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_mufasa.chance.variates import vectorised
+from napari_mufasa.compiled import inlined, vectorised
 from napari_mufasa.observe.table import COMB
 
 NONE_YET = -1e300
 
 
-@vectorised
+@inlined
 def rank(now, t, peak, at, second):  # type: ignore[no-untyped-def]
     """Take frame t of a row into its largest values and the next largest; neither next to the other in time."""
     for x in range(now.size):

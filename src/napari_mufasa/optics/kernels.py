@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from napari_mufasa.chance.variates import jit
+from napari_mufasa.compiled import jit
 from napari_mufasa.optics.gaussian import REACH_SIGMA
 
 UNKNOWN = -1

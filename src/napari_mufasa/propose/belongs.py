@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from napari_mufasa import checks
 from napari_mufasa.calibrate import transfer
 from napari_mufasa.camera.detector import multiplication_noise, photoelectrons, read_noise_map_e
 from napari_mufasa.camera.readout import undone_noise_power
+from napari_mufasa.errors import MufasaError
+from napari_mufasa.model.model import Model
 
 if TYPE_CHECKING:
     from napari_mufasa.files.instrument import Instrument
-    from napari_mufasa.model.model import Model
 
 FRAMES = 48  # looked at
 PATCH_PX = 5  # over which the darkest pixels are averaged
@@ -37,12 +39,17 @@ def mismatches(movie: Any, model: Model, dark: Any = None, instrument: Instrumen
     """Where movie (frame, y, x) and model contradict each other; none: nothing speaks against it.
 
     Looks at `FRAMES` frames of the movie. dark : dark frames, instrument : what the recording software wrote; None:
-    unknown.
+    unknown. Raises `MufasaError` for what is no movie of finite numbers.
     """
+    movie = checks.stack(movie, single=True)
+    checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    dark = None if dark is None else checks.stack(dark, "dark", single=True)
     found: list[Mismatch] = []
     n = int(movie.shape[0])
     start = max(0, (n - FRAMES) // 2)
     stack = np.asarray(movie[start : start + FRAMES]).astype(np.float32)
+    if not np.isfinite(stack).all():
+        raise MufasaError("movie has values that are not finite: mask or crop those frames first")
     camera = model.camera
     maps = [getattr(camera, name) for name in ("offset_map_adu", "gain_map", "variance_map_e2")]
     if any(m is not None and m.shape != stack.shape[1:] for m in maps):

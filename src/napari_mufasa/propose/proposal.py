@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from napari_mufasa import checks
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.known import Known
-from napari_mufasa.calibrate.measure import CameraType, calibrate
+from napari_mufasa.calibrate.measure import CameraType, calibrate, check_given
 from napari_mufasa.calibrate.value import NORMAL, Value
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.instrument import Instrument
@@ -75,8 +76,14 @@ def propose_model(
 
     Raises
     ------
-    MufasaError : a movie that cannot be used.
+    MufasaError : a movie that cannot be used, values that cannot be.
     """
+    movie = checks.stack(movie)
+    dark = None if dark is None else checks.stack(dark, "dark")
+    check_given(camera_type or "EMCCD", em_gain, electrons_per_adu, quantum_efficiency)
+    for name, value in (("pixel_size_nm", pixel_size_nm), ("frame_length_s", frame_length_s)):
+        if value is not None:
+            checks.number(value, name, 1e-9, 1e9)
     written = instrument or Instrument()
     unknown: dict[str, str] = {}
     notes: list[str] = []
@@ -148,7 +155,16 @@ def _plain_camera(movie: Any, dark: Any, kind: CameraType, asked: dict[str, Any]
     """Where nothing can be measured: the darkest level there is, and one electron a count."""
     from napari_mufasa.model.setup import Camera
 
+    name = "movie" if dark is None else "dark"
     stack = np.asarray(movie[: min(50, movie.shape[0])] if dark is None else dark).astype(np.float64)
+    if not np.isfinite(stack).all():
+        raise MufasaError(f"{name} has values that are not finite: mask or crop those frames first")
+    if stack.min() < 0:
+        raise MufasaError(f"{name} holds negative counts ({stack.min():g}): give the camera's raw counts (ADU)")
+    if stack.min() >= asked["adc_max"]:
+        raise MufasaError(
+            f"every pixel of {name} is saturated (at {asked['adc_max']} or above): record with less light"
+        )
     level = float(stack.mean()) if dark is not None else float(np.percentile(stack.mean(axis=0), 0.1))
     noise = float(np.sqrt(np.median(stack.var(axis=0)))) if len(stack) > 3 else 1.0
     gain = float(asked["em_gain"] or 300.0) if kind == "EMCCD" else None

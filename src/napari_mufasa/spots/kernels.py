@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_mufasa.chance.variates import vectorised
+from napari_mufasa.compiled import inlined, vectorised
 
 
 @vectorised
@@ -29,7 +29,7 @@ def block_means(stack, edges):  # type: ignore[no-untyped-def]
     return result
 
 
-@vectorised
+@inlined
 def blurred(values, weights, step, out):  # type: ignore[no-untyped-def]
     """Symmetric blur of a row of numbers by half of its weights (centre first), `step` numbers from one to the next.
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_mufasa.chance.variates import vectorised
+from napari_mufasa.compiled import inlined, vectorised
 
 FINE = 32  # stretches of more frames than this are tried at lengths of about 1/FINE apart, then frame by frame
 
 
-@vectorised
+@inlined
 def extreme_sums(sums, length):  # type: ignore[no-untyped-def]
     """The smallest and the largest sum over `length` successive frames, from the running sums of a trace."""
     ahead, low, high = sums[length:], 0.0, 0.0
@@ -23,7 +23,7 @@ def extreme_sums(sums, length):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@vectorised
+@inlined
 def most_different(sums, least, bright):  # type: ignore[no-untyped-def]
     """The stretch of a trace whose mean differs most from that of the rest: its first frame, its end, and the variance
     it explains times the frames. `sums` are the running sums of the trace about its mean, from 0; stretch and rest
@@ -52,14 +52,14 @@ def most_different(sums, least, bright):  # type: ignore[no-untyped-def]
     return first, end, best
 
 
-@vectorised
+@inlined
 def deviate(explained, within, df):  # type: ignore[no-untyped-def]
     """A normal deviate as improbable as the difference of two means: Student's heavier tails taken off."""
     within = max(within, 1e-12 * explained + 1e-300)
     return np.sqrt(df * np.log1p(explained / within)) * (1.0 - 0.75 / df)
 
 
-@vectorised
+@inlined
 def between(total, squares, a, c, b):  # type: ignore[no-untyped-def]
     """The deviate of the difference of the means of the frames a … c − 1 and c … b − 1, from running sums."""
     left, right = (total[c] - total[a]) / (c - a), (total[b] - total[c]) / (b - c)

@@ -82,6 +82,8 @@ def chosen_options(options: Options | None, changes: dict[str, Any]) -> Options:
     for name, fewest in _COUNTS:
         if (value := getattr(chosen, name)) is not None:
             checks.whole(value, name, fewest)
+    if chosen.min_steps is not None and chosen.max_steps is not None and chosen.min_steps > chosen.max_steps:
+        raise MufasaError(f"min_steps {chosen.min_steps} is above max_steps {chosen.max_steps}: lower it")
     return chosen
 
 
