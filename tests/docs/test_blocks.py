@@ -55,9 +55,10 @@ def test_commands_stand_in_blocks_that_are_run_or_say_why_not(page):
 def recorded(tmp_path_factory):
     """Movies of a bright model, as files; a model that is right, but for what blocks take away."""
     folder = tmp_path_factory.mktemp("recorded")
+    real = nm.Model.from_json(ROOT / "docs" / "models" / "smfret_ixon.json")
     model = nm.preset("FF").with_values(
         {
-            "acquisition.n_frames": 60, "acquisition.shape_px": (48, 48),
+            "acquisition.n_frames": 60, "acquisition.shape_px": (48, 48), "camera": real.camera.model_dump(),
             "excitation.power_density_w_per_cm2": 20, "fluorophore.cycles_before_bleaching": 3e4,
             "optics.background_photons_per_px": 10, "sample.n_molecules": 12, "sample.min_distance_px": 9,
         }
@@ -71,8 +72,8 @@ def recorded(tmp_path_factory):
     model.to_json(folder / "model.json")
     found = nm.extract_traces(movies[0], model.camera, psf_sigma_px=model.sigma_px)
     write_trace_file(folder / "traces.csv", found.traces)
-    adu = 367 + np.rint(found.traces * 676).clip(0, 60_000)
-    tifffile.imwrite(folder / "egfp_emccd_traces.tif", adu.T.astype(np.uint16))
+    light = np.random.default_rng(4).poisson(nm.simulate_emission(model, 40, seed=4) * 0.1)
+    tifffile.imwrite(folder / "egfp_emccd_traces.tif", (367 + 676 * light.T).astype(np.uint16))
     (folder / "docs").symlink_to(ROOT / "docs")
     return folder, model, movies[0], found.traces
 
@@ -92,9 +93,11 @@ def small(monkeypatch):
 def test_the_blocks_of_a_page_run_in_their_order(page, recorded, small, tmp_path, monkeypatch, request):
     folder, model, movie, traces = recorded
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True, symlinks=True)
+    for made in re.findall(r"(?:--out|>) (\S+)$|--out (\S+)", page.read_text(encoding="utf-8"), re.MULTILINE):
+        (tmp_path / "".join(made)).unlink(missing_ok=True)  # the page makes it
     monkeypatch.chdir(tmp_path)
     # What pages speak of without making it.
-    known = {"movie": movie, "model": model, "image": movie[0] / 676.0, "frames": movie[:8] / 676.0, "table": traces}
+    known = {"movie": movie, "model": model, "image": movie[0] / 19.0, "frames": movie[:8] / 19.0, "table": traces}
     if any("widgets" in block.code for block in blocks_of(page)):
         request.getfixturevalue("qapp")
     for block in blocks_of(page):
