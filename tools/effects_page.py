@@ -44,8 +44,8 @@ in its row. Parameters marked with forms matter to those forms only.
 **Shows in** names the first words of the [observables](discovery.md) that the effect moves most. **Rivals** are effects
 that look alike in some movies; **told apart by** is the measurement that separates them.
 
-**The pictures** (`python docs/gallery/fingerprints.py`) show what an effect changes in a movie at its default strength: the
-observables it moves most, by how many standard deviations of one movie; the light over time; the mean image.
+**The pictures** (`python docs/gallery/fingerprints.py`) show what an effect changes in a movie at its default strength:
+the observables it moves most, by how many standard deviations of one movie; the light over time; the mean image.
 
 A further effect is one class in a package of its own, registered under the entry-point group `napari_mufasa.effects`
 ([how](your_effect.md)).

@@ -16,6 +16,7 @@ trap 'rm -rf "$clean"' EXIT
 wheel="$(realpath "$OUT"/*.whl)"
 "$clean/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$wheel"
 cd "$clean" # not in the checkout, so that nothing is found there
+unset PYTHONPATH
 venv/bin/napari-mufasa --version
 venv/bin/napari-mufasa simulate --preset FF --frames 5 --shape 32 32 --out movie.ome.tif
 venv/bin/napari-mufasa denoise movie.ome.tif --out photons.ome.tif --model <(venv/bin/napari-mufasa presets FF)

@@ -2,8 +2,8 @@
 
     python docs/gallery/distances.py [--out DIR] [--quick] [--traces FILE]
 
-20 traces of 50 frames in ADU, read as docs/comparison.md says ("all in a pixel, tool"). The measured table is no part of the
-project: without it traces of the same model with 1.4 times the light stand in, and the picture says so.
+20 traces of 50 frames in ADU, read as docs/comparison.md says ("all in a pixel, tool"). The measured table is no
+part of the project: without it traces of the same model with 1.4 times the light stand in, and the picture says so.
 """
 
 from __future__ import annotations

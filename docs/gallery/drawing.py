@@ -15,7 +15,7 @@ IMAGES = Path(__file__).resolve().parents[1] / "images"
 
 
 def arguments(about: str, folder: str = "gallery", more: Sequence[str] = ()) -> Any:
-    """--out: where the pictures go; --quick: few molecules and frames, to see that the script runs; `more`: switches."""
+    """--out: where the pictures go; --quick: few molecules and frames, to see that it runs; `more`: switches."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=IMAGES / folder)
     parser.add_argument("--quick", action="store_true")

@@ -2,9 +2,10 @@
 
     python docs/gallery/fingerprints.py [--out DIR] [--quick] (pictures of docs/effects.md)
 
-Every effect in its plain form and at its default strength, in a movie of 40 molecules (EMCCD, 64 × 64 pixels, 150 frames) that
-has none, beside the same movie without it: the same seed, so that all other chance is the same. Bars: the mean change of an
-observable over six pairs, in standard deviations of one movie (over 24 movies without any effect).
+Every effect in its plain form and at its default strength, in a movie of 40 molecules (EMCCD, 64 × 64 pixels, 150
+frames) that has none, beside the same movie without it: the same seed, so that all other chance is the same. Bars:
+the mean change of an observable over six pairs, in standard deviations of one movie (over 24 movies without any
+effect).
 """
 
 from __future__ import annotations
@@ -93,7 +94,10 @@ def draw(path, title: str, first: Pair, z: np.ndarray, seen: Observation) -> Non
         bars.set_xlim(-largest, largest)
         powers = [10**n for n in range(1, int(np.log10(largest)) + 1)]
         powers = [n for n in powers if n in (powers[0], powers[-1])]
-        bars.set_xticks([-n for n in powers[::-1]] + [0] + powers, [f"−{n}" for n in powers[::-1]] + ["0"] + [str(n) for n in powers])
+        bars.set_xticks(
+            [-n for n in powers[::-1]] + [0] + powers,
+            [f"−{n}" for n in powers[::-1]] + ["0"] + [str(n) for n in powers],
+        )
         bars.minorticks_off()
         bars.set(xlabel="change (sd of one movie)")
         if not order:
@@ -103,7 +107,8 @@ def draw(path, title: str, first: Pair, z: np.ndarray, seen: Observation) -> Non
         light.set(xlabel="frame", ylabel="mean count (ADU)")
         light.legend(loc="best", fontsize=6.5)
         difference = first.image[1] - first.image[0]
-        reach = max(float(np.percentile(np.abs(difference), 99.5)), 1e-6)
+        reach, most = float(np.percentile(np.abs(difference), 99.5)), float(np.abs(difference).max())
+        reach = reach if reach > most / 100 else max(most, 1e-6)  # single pixels are all there is to see
         drawn = image.imshow(difference, cmap="PiYG", vmin=-reach, vmax=reach, interpolation="nearest")
         image.set(xticks=[], yticks=[])
         image.set_title("change (ADU)", fontsize=7)

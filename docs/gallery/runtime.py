@@ -2,8 +2,9 @@
 
     python docs/gallery/runtime.py [--out DIR] [--quick]
 
-Processor time of a whole movie, from molecules to counts, over that of the same protocol with the fewest molecules: seconds are a
-machine's, ratios are the program's. The presets with 50 frames of 256 × 256 pixels; the least of three runs after one that compiles.
+Processor time of a whole movie, from molecules to counts, over that of the same protocol with the fewest molecules:
+seconds are a machine's, ratios are the program's. The presets with 50 frames of 256 × 256 pixels; the least of
+three runs after one that compiles.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Every code block of the README and of the pages runs, in the order of its page.
 
-In a folder that has what a reader would have: a movie, its dark frames, a model, traces; small ones, and stand-ins for
-the real movies. What takes long is made small: large movies are simulated smaller, and a diagnosis considers two effects.
+In a folder that has what a reader would have: a movie, its dark frames, a model, traces; small ones, and stand-ins
+for the real movies. What takes long is made small: large movies are simulated smaller, and a diagnosis considers
+two effects.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import shlex
 import shutil
 from contextlib import redirect_stdout
 from io import StringIO
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -130,7 +132,7 @@ def smaller(arguments: list[str]) -> list[str]:
     """A simulation of a large movie, made small."""
     if arguments[0] != "simulate":
         return arguments
-    given = dict(zip(arguments, arguments[1:], strict=False))
+    given = dict(pairwise(arguments))
     made = nm.preset(given["--preset"]) if "--preset" in given else nm.Model.from_json(given["--model"])
     height, width = made.acquisition.shape_px
     if made.acquisition.n_frames * height * width <= LARGE:

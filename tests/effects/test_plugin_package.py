@@ -1,5 +1,5 @@
-"""The page "write your own effect" (docs/your_effect.md), followed from its first line to its last: the package, the command
-line, the movie, and discovery, which finds the effect."""
+"""The page "write your own effect" (docs/your_effect.md), followed from its first line to its last: the package, the
+command line, the movie, and discovery, which finds the effect."""
 
 from __future__ import annotations
 
@@ -89,7 +89,9 @@ def test_the_table_of_the_scene_is_the_scene():
     from napari_mufasa.simulate.scene import Scene
 
     section = PAGE.read_text(encoding="utf-8").split("## What a scene has")[1]
-    told = {name for row in section.splitlines() if row.startswith("| `") for name in row.split("|")[1].split("`")[1::2]}
+    told = {
+        name for row in section.splitlines() if row.startswith("| `") for name in row.split("|")[1].split("`")[1::2]
+    }
     properties = {name for name, value in vars(Scene).items() if isinstance(value, property)}
     assert told <= set(Scene.__dataclass_fields__) | properties
     assert set(Scene.__dataclass_fields__) - {"streams"} <= told
