@@ -19,6 +19,7 @@ cd "$clean" # not in the checkout, so that nothing is found there
 unset PYTHONPATH
 venv/bin/napari-mufasa --version
 venv/bin/napari-mufasa simulate --preset FF --frames 5 --shape 32 32 --out movie.ome.tif
-venv/bin/napari-mufasa denoise movie.ome.tif --out photons.ome.tif --model <(venv/bin/napari-mufasa presets FF)
+venv/bin/napari-mufasa presets FF >model.json
+venv/bin/napari-mufasa denoise movie.ome.tif --model model.json --out photons.ome.tif
 venv/bin/python -c 'import napari_mufasa as nm; assert len(nm.catalogue()) >= 35, nm.catalogue()'
 echo "package: $(basename "$wheel") is sound"

@@ -7,7 +7,6 @@ two effects.
 
 from __future__ import annotations
 
-import functools
 import re
 import shlex
 import shutil
@@ -28,6 +27,7 @@ from napari_mufasa.files.traces import write_trace_file
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 RUN = {"python", "bash"}
 SUSPECTS = ["photobleaching", "stage_drift"]
+CORNER = 40  # px
 LARGE = 10**6  # pixels × frames: movies beyond are simulated smaller
 #: Words of a shell that the blocks use; any other command is marked with the reason why it is not run.
 COMMANDS = ("napari-mufasa", "python")
@@ -82,13 +82,21 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture
 def small(monkeypatch):
-    """Two suspects and their lone parameters, wherever a diagnosis is asked for."""
-    for name in ("diagnose", "diagnose_traces"):
-        whole = getattr(discover, name)
-        suspects = SUSPECTS if name == "diagnose" else SUSPECTS[:1]
-        fewer = functools.partial(whole, effects=suspects, max_effects=1, budget=200)
-        monkeypatch.setattr(discover, name, lambda *a, made=fewer, **k: made(*a, **(k | made.keywords)))
-        monkeypatch.setitem(vars(nm), name, getattr(discover, name))
+    """Two suspects, one at most to be added, few simulations and a corner of the movie, wherever a diagnosis is asked
+    for."""
+    few = {"max_effects": 1, "budget": 50}
+    movies, tables = discover.diagnose, discover.diagnose_traces
+
+    def diagnose(movie, model, dark=None, **given):
+        dark = None if dark is None else dark[:, :CORNER, :CORNER]
+        return movies(movie[:60, :CORNER, :CORNER], model, dark, **(given | few | {"effects": SUSPECTS}))
+
+    def diagnose_traces(traces, model, **given):
+        return tables(traces=traces, model=model, **(given | few | {"effects": SUSPECTS[:1]}))
+
+    for made in (diagnose, diagnose_traces):
+        monkeypatch.setattr(discover, made.__name__, made)
+        monkeypatch.setitem(vars(nm), made.__name__, made)
 
 
 @pytest.mark.parametrize("page", pages_with_code(), ids=lambda page: page.name)
