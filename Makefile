@@ -5,7 +5,7 @@ SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test lint format blind validate bench bench-denoise bench-diagnose stalls trust fuzz kill soak audit \
-	screenshots docs clean
+	screenshots gallery docs package clean
 
 export PYTHON
 PY := .venv/bin/python
@@ -16,12 +16,12 @@ help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' Makefile
 
 setup: ## .venv, all Python packages, missing system libraries (apt when root)
-	@tools/setup.sh all,formats,test
+	@tools/setup.sh all,formats,test,docs
 
 demo: setup ## the main job without a screen: hide an effect, find it from the files alone; writes demo/
 	.venv/bin/napari-mufasa demo --out demo --overwrite $(ARGS)
 
-test: lint ## lint, then the whole test suite under Xvfb
+test: lint ## lint, then the whole test suite under Xvfb, pages and their code included
 	tools/run-tests.sh $(PYTEST_ARGS) $(ARGS)
 
 lint: setup ## ruff format, ruff check, mypy
@@ -72,10 +72,16 @@ audit: setup ## known vulnerabilities of the installed packages, where the netwo
 screenshots: setup ## pictures of the viewer, drawn under Xvfb
 	xvfb-run -a -s "-screen 0 1600x1000x24" $(PY) tools/screenshots.py $(ARGS)
 
+gallery: setup ## pictures of the gallery and of the effects, into docs/images/
+	for script in protocols runtime distances fingerprints; do $(PY) docs/gallery/$$script.py $(ARGS); done
+
 docs: setup ## the documentation, into site/
-	@tools/setup.sh docs
 	$(PY) tools/effects_page.py > docs/.effects.md && mv docs/.effects.md docs/effects.md
-	$(PY) -m mkdocs build --strict $(ARGS)
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict $(ARGS)
+
+package: setup ## wheel and sdist into dist/, checked, installed into an empty environment and run
+	@tools/setup.sh release
+	tools/package.sh
 
 clean: ## remove what the commands made, except .venv
 	rm -rf demo site build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

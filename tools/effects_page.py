@@ -44,8 +44,11 @@ in its row. Parameters marked with forms matter to those forms only.
 **Shows in** names the first words of the [observables](discovery.md) that the effect moves most. **Rivals** are effects
 that look alike in some movies; **told apart by** is the measurement that separates them.
 
+**The pictures** (`python docs/gallery/fingerprints.py`) show what an effect changes in a movie at its default strength:
+the observables it moves most, by how many standard deviations of one movie; the light over time; the mean image.
+
 A further effect is one class in a package of its own, registered under the entry-point group `napari_mufasa.effects`
-([how](discovery.md#a-new-effect)).
+([how](your_effect.md)).
 """
 
 FOLLOWS = {"movie_s": "movie", "frame_s": "frame", "frames": "number of frames", "noise_adu": "read noise"}
@@ -70,6 +73,7 @@ def section(effect: type[Effect]) -> str:
     lines = [
         f"### {effect.kind}\n",
         f"**{effect.title}.** {effect.what_it_is} {effect.what_it_does}\n",
+        f"![What {effect.kind} changes](images/effects/{effect.kind}.png)\n",
         "| parameter | unit | default | allowed | plausible | meaning |",
         "|---|---|---|---|---|---|",
         *(parameter_row(effect, name) for name in effect.model_fields if name not in ("form", "start")),

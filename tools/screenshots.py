@@ -2,8 +2,9 @@
 
     xvfb-run -a -s "-screen 0 1600x1000x24" python tools/screenshots.py [--out DIR] [--only NAME …] [--theme dark|light]
 
-Drives the real widgets, as a user would. `real` needs the measurement beside the project (../shared/data); without
-it that picture is left out.
+Drives the real widgets, as a user would; steps are asked for by their names. `real` and `proposed` need the
+measurement beside the project (../shared/data); without it those pictures are left out. At the end it says which
+pictures of the folder no scene makes any more.
 """
 
 from __future__ import annotations
@@ -72,24 +73,24 @@ def story(viewer: Any, workflow: Any) -> Iterator[str]:
     finish(data)
     pump(0.8)
     yield "1-data"
-    workflow.show_step(1)
+    show(workflow, "Camera")
     yield "2-camera"
-    workflow.show_step(2)
+    show(workflow, "Denoise")
     press(workflow.step("Denoise"))
     yield "3-denoise"
     viewer.layers["hidden effect, photons"].visible = False
-    workflow.show_step(3)
+    show(workflow, "Molecules")
     molecules = workflow.step("Molecules")
     press(molecules)
     kept = molecules.traces.molecules.query("kept").sort_values("snr").index
     click_molecule(viewer, molecules, int(kept[-1]))
     yield "4-molecules"
-    workflow.show_step(4)
+    show(workflow, "Model")
     workflow.step("Model").effects.add("stage_drift")
     settle(workflow)
     yield "5-model"
     workflow.step("Model").effects.remove_button.click()
-    workflow.show_step(5)
+    show(workflow, "Compare")
     compare = workflow.step("Compare")
     press(compare)
     yield "6-compare"
@@ -104,7 +105,7 @@ def story(viewer: Any, workflow: Any) -> Iterator[str]:
 
 
 def discover(workflow: Any) -> Iterator[str]:
-    workflow.show_step(6)
+    show(workflow, "Discover")
     panel = workflow.step("Discover")
     if SUSPECTS:
         choose_suspects(panel.suspects)
@@ -174,7 +175,7 @@ def real(viewer: Any, workflow: Any) -> Iterator[str]:
     finish(workflow.step("Data"))
     workflow.step("Model").source.value = REAL_MODEL
     workflow.step("Data").use_scale.click()
-    workflow.show_step(3)
+    show(workflow, "Molecules")
     panel = workflow.step("Molecules")
     press(panel)
     print(f"real movie: {panel.run_bar.message.text()}")
@@ -183,6 +184,40 @@ def real(viewer: Any, workflow: Any) -> Iterator[str]:
     pump(0.6)
     click_molecule(viewer, panel, int(good[-1]))
     yield "real-movie"
+
+
+def proposed(viewer: Any, workflow: Any) -> Iterator[str]:
+    """A model proposed from the real movie, scrolled to the picture of its test of fit."""
+    workflow.step("Data").open_movie(str(REAL_MOVIE))
+    finish(workflow.step("Data"))
+    show(workflow, "Camera")
+    panel = workflow.step("Camera")
+    panel.form.em_gain.value = 300.0
+    panel.propose_button.click()
+    finish(panel)
+    pump(1.0)
+    scroll_to(panel.picture)
+    yield "camera-proposed"
+
+
+def scroll_to(widget: Any) -> None:
+    """Let what scrolls around a widget show it."""
+    from qtpy.QtWidgets import QScrollArea
+
+    around = widget.parentWidget()
+    while around is not None and not isinstance(around, QScrollArea):
+        around = around.parentWidget()
+    if around is not None:
+        around.ensureWidgetVisible(widget)
+    pump(0.3)
+
+
+def show(workflow: Any, name: str) -> None:
+    """A step, by its name."""
+    from napari_mufasa.widgets.workflow import STEPS
+
+    workflow.show_step(list(STEPS).index(name))
+    pump(0.2)
 
 
 def drawn(dock: Any) -> None:
@@ -214,7 +249,7 @@ def compress(path: Path) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
-    parser.add_argument("--only", nargs="*", choices=["story", "simulate", "design", "real"], default=[])
+    parser.add_argument("--only", nargs="*", choices=["story", "simulate", "design", "real", "proposed"], default=[])
     parser.add_argument("--theme", choices=["dark", "light"])
     parser.add_argument("--suspects", nargs="*", default=[], help="effects to consider in step Discover (all)")
     args = parser.parse_args()
@@ -231,12 +266,14 @@ def main() -> int:
         "simulate": ("Simulate", simulate),
         "design": ("Design", design),
         "real": ("MUFASA workflow", real),
+        "proposed": ("MUFASA workflow", proposed),
     }
+    made: set[str] = set()
     for name, (widget, scene) in scenes.items():
         if args.only and name not in args.only:
             continue
-        if name == "real" and not REAL_MOVIE.is_file():
-            print("real movie: not there, left out")
+        if name in ("real", "proposed") and not REAL_MOVIE.is_file():
+            print(f"{name}: the real movie is not there, left out")
             continue
         viewer = napari.Viewer()
         viewer.window.resize(1600, 1000)
@@ -250,8 +287,13 @@ def main() -> int:
                 path = args.out / f"{shot}-{theme}.png"
                 viewer.screenshot(str(path), canvas_only=False, flash=False)
                 compress(path)
+                made.add(path.name)
                 print(f"{path.name}: {path.stat().st_size // 1000} kB")
         viewer.close()
+    if not args.only and args.theme is None:
+        for path in sorted(args.out.glob("*.png")):
+            if path.name not in made:
+                print(f"{path.name}: made by no scene")
     return 0
 
 
