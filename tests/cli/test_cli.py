@@ -36,7 +36,7 @@ VERBS = {
     "denoise": {"--model", "--out", "--method"},
     "traces": {"--model", "--dark", "--window", "--best", "--out"},
     "compare": {"--traces", "--model", "--dark", "--out"},
-    "diagnose": {"--model", "--dark", "--out", "--seed"},
+    "diagnose": {"--model", "--dark", "--out", "--seed", "--budget", "--check", "--halves"},
     "refine": {"--model", "--add", "--out"},
     "calibrate": {"--dark", "--out"},
     "propose": {"--dark", "--out"},
@@ -411,6 +411,31 @@ def test_diagnose_writes_report_and_says_the_verdict(cli, told, movie_file, mode
     assert "triplet" in (tmp_path / "d/report.html").read_text()
 
 
+@pytest.mark.parametrize("how", ["other movie", "halves"])
+def test_diagnose_says_whether_it_holds_elsewhere(cli, told, movie_file, model_file, tmp_path, monkeypatch, how):
+    from napari_mufasa import discover
+
+    seen = {}
+
+    def held(*given, **options):
+        seen.update(given=given, options=options)
+        error = {"before": 2.9, "carried": 1.2, "after": 1.1, "floor": 1.0}
+        return discover.Confirmation(report(), report(), error)
+
+    monkeypatch.setattr(discover, "confirm" if how == "other movie" else "confirm_halves", held)
+    asked = ["--check", movie_file] if how == "other movie" else ["--halves"]
+    out_dir = tmp_path / "d"
+    code, out, _ = cli("diagnose", movie_file, "--model", model_file, "--out", out_dir, "--seed", 7, *asked)
+    against = movie_file.name if how == "other movie" else "the two halves of the field, apart"
+    assert code == 0 and f"Checked on {against}: 1 of 1 effects are named in both." in out
+    assert seen["options"]["seed"] == 7
+    *_, movie, model, dark = seen["given"]
+    assert movie.shape == (120, 48, 48) and model == Model.from_json(model_file) and dark is None
+    data = json.loads((out_dir / "report.json").read_text())
+    assert data["check"]["both"] == ["triplet_blinking"] and data["check"]["error"]["carried"] == 1.2
+    assert "Does it hold elsewhere?" in (out_dir / "report.html").read_text()
+
+
 def test_refine_adds_what_the_user_names(cli, told, movie_file, model_file, tmp_path):
     code, _, _ = cli("refine", movie_file, "--model", model_file, "--add", "stage_drift", "laser_drift:change=-0.3",
                      "--out", tmp_path / "d")  # fmt: skip
@@ -536,6 +561,15 @@ BAD = {
         ["compare", "--traces", "MODEL", "--max-steps", "1", "--model", "MODEL", "--out", "OUT/c"], "--max-steps",
     ),
     "profile of a movie": (["diagnose", "MOVIE", "--profile", "psf", "--model", "MODEL", "--out", "OUT/c"], "--traces"),
+    "check of traces": (
+        ["diagnose", "MODEL", "--traces", "--halves", "--model", "MODEL", "--out", "OUT/c"], "--halves",
+    ),
+    "two checks": (
+        ["diagnose", "MOVIE", "--check", "MOVIE", "--halves", "--model", "MODEL", "--out", "OUT/c"], "one of them",
+    ),
+    "check of nothing": (
+        ["diagnose", "MOVIE", "--check", "none.tif", "--model", "MODEL", "--out", "OUT/c"], "none.tif",
+    ),
     "no trace table": (["diagnose", "MODEL", "--traces", "--model", "MODEL", "--out", "OUT/c"], "cannot read traces"),
     "not traces": (["compare", "--traces", "MODEL", "--model", "MODEL", "--out", "OUT/c"], "cannot read traces"),
     "out is a file": (["traces", "MOVIE", "--model", "MODEL", "--out", "MODEL"], "is a file"),
