@@ -209,8 +209,8 @@ def check_lines(check: dict[str, Any]) -> list[str]:
     for row in parameters:
         if not row["agree"]:
             label, unit = parameter_label(row["effect"], row["parameter"])
-            here, there = (number(row[side], row[f"{side}_sd"]) for side in ("here", "there"))
-            lines.append(f"{effect_title(row['effect'])}, {label}: {here} here, {there} there {unit}".rstrip() + ".")
+            here, there = (f"{number(row[side], row[f'{side}_sd'])} {unit}".rstrip() for side in ("here", "there"))
+            lines.append(f"{effect_title(row['effect'])}, {label}: {here} here, {there} there.")
     lines.append(
         f"The model completed here has an error of {_two(error['carried'])} there, the one completed there "
         f"{_two(error['after'])}, the one believed {_two(error['before'])}; noise alone gives {_two(error['floor'])}."

@@ -137,7 +137,7 @@ class CheckPage(QWidget):
         tip = "Diagnose the two halves of the field apart: do they name the same effects, with the same parameters?"
         self.halves_button = button("Check on two halves", halves, tip, enabled=False)
         self.other = dress_one(LayerEdit(label="Other movie", nullable=True))
-        self.other.viewer = viewer
+        self.other.viewer, self.other.null_string = viewer, "another movie of the same set-up …"
         self.other.reset_choices()
         for event in (viewer.layers.events.inserted, viewer.layers.events.removed):
             event.connect(self.other.reset_choices)
