@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -147,6 +148,22 @@ def test_a_frame_that_a_nikon_file_lacks_is_not_read_as_zeros(tmp_path):
         np.asarray(files.read_movie(path).data)
 
 
+def test_a_nikon_file_that_claims_absurdly_many_components_takes_no_memory(tmp_path):
+    import tracemalloc
+
+    path = write_nd2(tmp_path / "m.nd2", MOVIE)
+    name = "uiCompCount\0".encode("utf-16-le")
+    content = path.read_bytes()
+    assert content.count(name + bytes([1, 0, 0, 0])) == 1
+    path.write_bytes(content.replace(name + bytes([1, 0, 0, 0]), name + bytes([0, 0, 0, 8])))
+    tracemalloc.start()
+    with contextlib.suppress(MufasaError):
+        np.asarray(files.read_movie(path).data)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6
+
+
 def test_a_leica_text_that_names_other_files_opens_none(tmp_path):
     import tifffile
 
@@ -215,7 +232,8 @@ def test_zeiss_times_are_in_ns_and_lengths_in_m():
 
 def test_nikon_exposures_are_said_in_words():
     file = SimpleNamespace(
-        voxel_size=lambda: SimpleNamespace(x=0.16, y=0.16, z=1.0),
+        is_legacy=False,
+        unstructured_metadata=lambda include: {"ImageMetadataSeq|0": {"Calibrated": True, "Calibration": 0.16}},
         text_info={"capturing": "Camera: Andor DU-897\n  Exposure: 2 s\n  EM Gain: 300\n  Readout Mode: EM 17MHz"},
         experiment=[SimpleNamespace(parameters=SimpleNamespace(periodMs=2100.0))],
     )

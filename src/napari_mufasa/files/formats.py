@@ -123,7 +123,7 @@ def _nd2(path: Path) -> Opened:
 
 
 def _nd2_settings(file: Any) -> Iterator[tuple[str, Any]]:
-    size_um = file.voxel_size().x
+    size_um = _nd2_pixel_um(file)
     if size_um and size_um != 1.0:  # 1 µm stands where none was set
         yield "PixelSizeUm", size_um
     for text in dict(file.text_info or {}).values():
@@ -132,6 +132,18 @@ def _nd2_settings(file: Any) -> Iterator[tuple[str, Any]]:
         period_ms = getattr(getattr(loop, "parameters", None), "periodMs", None)
         if period_ms:
             yield "Interval_ms", period_ms
+
+
+def _nd2_pixel_um(file: Any) -> float:
+    """From the chunk itself: the library's own way first makes lists as long as a channel claims to have components."""
+    if file.is_legacy:
+        return float(file.voxel_size().x)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # one of the two is not there
+        chunks = file.unstructured_metadata(include={"ImageMetadataSeqLV|0", "ImageMetadataSeq|0"})
+    about = next(iter(chunks.values()), None)
+    about = _at(about, "SLxPictureMetadata") or about
+    return float(_at(about, "Calibration") or 0.0) if _at(about, "Calibrated") else 0.0
 
 
 def spoken(text: str) -> Iterator[tuple[str, Any]]:
