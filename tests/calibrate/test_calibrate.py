@@ -108,6 +108,9 @@ def test_real_yeast_and_smfret():
     assert rows.alternation_adu.value == pytest.approx(2.0, abs=0.3)
     power = sum(w**2 for w in (1, *rows.kernel)) / sum((1, *rows.kernel)) ** 2
     assert 20 <= yeast.slope_adu.value * power <= 24  # as the raw variance has it
+    # What the frames before the laser hold is electrons: each makes as many counts as one of the light.
+    assert yeast.stray is not None
+    assert yeast.stray.adu_per_electron.value == pytest.approx(yeast.adu_per_photoelectron.value, rel=0.1)
 
 
 @pytest.mark.realdata
@@ -122,11 +125,17 @@ def test_real_smfret_without_dark_frames():
 
 @pytest.mark.realdata
 def test_real_polymerase_and_its_dark_half():
-    movie, dark = real("polymerase_ixon888_emccd.tif")[:60], real("polymerase_ixon888_dark.tif")
+    movie, dark = real("polymerase_ixon888_emccd.tif"), real("polymerase_ixon888_dark.tif")
     known = calibrate(movie, dark, em_gain=400)
-    # Along a row, of all pixels; motion of the sample adds 0.02 to it, and as much along columns.
-    assert known.readout.correlations_everywhere[0] == pytest.approx(-0.115, abs=0.01)
-    assert known.readout.row_correlations[0] == pytest.approx(-0.138, abs=0.01)
+    # Of all pixels; motion of the sample adds 0.02 along rows and columns alike.
+    along_rows, along_columns = known.readout.everywhere_row[0], known.readout.everywhere_column[0]
+    assert along_rows.value == pytest.approx(-0.115, abs=0.01)
+    assert along_rows.sd < 0.01
+    assert along_rows.value - along_columns.value == pytest.approx(known.readout.row_correlations[0], abs=0.005)
+    assert known.readout.shares[0].value == pytest.approx(-0.167, abs=0.01)  # of the light alone
+    assert known.law_holds
+    movie = movie[:60]
+    known = calibrate(movie, dark, em_gain=400)
     shaded = calibrate(np.concatenate([movie, dark], axis=1), em_gain=400)
     assert "lie in shadow" in shaded.notes[0]
     assert shaded.baseline_adu.value == pytest.approx(known.baseline_adu.value, abs=5)

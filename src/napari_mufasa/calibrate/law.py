@@ -33,19 +33,23 @@ class Law:
     charge_e: float = 0.0
     weights: tuple[float, ...] = (1.0,)
 
-    def variance(self, signal_adu: float) -> float:
-        power = float(np.sum(np.square(self.weights)))
-        light = signal_adu + self.charge_e * self.adu_per_electron
-        return self.excess_noise_factor * self.adu_per_electron * light * power + self.read_noise_adu**2 + 1 / 12
-
-    def log_characteristic(self, t: Array, signal_adu: float) -> NDArray[np.complex128]:
-        """Of a level before it is rounded, about its mean, at t in 1/ADU."""
-        electrons = signal_adu / self.adu_per_electron + self.charge_e
-        result = (-0.5 * self.read_noise_adu**2) * t**2 + 0j
+    def log_characteristic(self, t: Array) -> tuple[NDArray[np.complex128], Array]:
+        """Of a level before it is rounded, about its mean, at t in 1/ADU: what each electron adds, and the read noise."""
+        electron = np.zeros(len(t), np.complex128)
         for weight in self.weights:
             one = self.adu_per_electron * weight * t
-            result += electrons * (_multiplied(one, self.excess_noise_factor) - 1 - 1j * one)
-        return np.asarray(result, np.complex128)
+            electron += _multiplied(one, self.excess_noise_factor) - 1 - 1j * one
+        return electron, np.asarray((-0.5 * self.read_noise_adu**2) * t**2)
+
+    def electrons(self, signals_adu: Array) -> Array:
+        """How many make these signals, those without light included."""
+        return np.maximum(signals_adu / self.adu_per_electron + self.charge_e, 0.0)
+
+    def variance(self, signal_adu: float) -> float:
+        power = float(np.sum(np.square(self.weights)))
+        electrons = float(self.electrons(np.array(signal_adu)))
+        light = self.excess_noise_factor * self.adu_per_electron**2 * electrons * power
+        return light + self.read_noise_adu**2 + 1 / 12
 
 
 def _multiplied(t: Array, excess: float) -> NDArray[np.complex128]:
@@ -56,23 +60,27 @@ def _multiplied(t: Array, excess: float) -> NDArray[np.complex128]:
     return np.asarray((1 - 1j * t / shape) ** -shape)
 
 
-def below(law: Law, signal_adu: float, edges: Array, n_mean: int = 0, phases: Array | None = None) -> Array:
+def below(law: Law, signals_adu: Array, edges: Array, n_mean: int = 0, phases: Array | None = None) -> Array:
     """Share of counts, less their mean, that lie below each of the edges (edge,), which ascend.
 
+    signals_adu : (level,) of the pixels, as many of each
     n_mean : counts are taken about the mean of so many frames of their own pixel, themselves one of them; 0: about the
         true mean. A random part of a count (even, rms 1/√12) is added to them.
     phases : (phase,) shares of counts by what is left of them, about their means, modulo 1 ADU, from 0 on: counts are
         whole, and where the noise is small they lie on a lattice; None: anywhere
     """
-    reach = 1.2 * max(abs(edges[0]), abs(edges[-1])) + 8 * np.sqrt(law.variance(signal_adu))
+    reach = 1.2 * max(abs(edges[0]), abs(edges[-1])) + 8 * np.sqrt(law.variance(float(np.max(signals_adu))))
     step = 2 * reach / POINTS
     t = 2 * np.pi * np.fft.rfftfreq(POINTS, step)
     if n_mean > 1:
-        log = law.log_characteristic(t * (1 - 1 / n_mean), signal_adu)
-        log += (n_mean - 1) * (law.log_characteristic(-t / n_mean, signal_adu) + _rounding(t / n_mean))
+        electron, noise = law.log_characteristic(t * (1 - 1 / n_mean))
+        others = law.log_characteristic(-t / n_mean)
+        electron = electron + (n_mean - 1) * others[0]
+        noise = noise + (n_mean - 1) * (others[1] + _rounding(t / n_mean))
     else:
-        log = law.log_characteristic(t, signal_adu)
-    density = np.fft.irfft(np.conj(np.exp(log)), POINTS) / step
+        electron, noise = law.log_characteristic(t)
+    mixed = np.mean([np.exp(n * electron + noise) for n in law.electrons(np.asarray(signals_adu))], axis=0)
+    density = np.fft.irfft(np.conj(mixed), POINTS) / step
     density = np.fft.fftshift(density)
     x = (np.arange(POINTS) - POINTS // 2) * step
     total = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2) * step])
