@@ -19,7 +19,7 @@ from napari_mufasa.calibrate.value import NORMAL, Value
 Array = NDArray[np.float64]
 BLOCK = 8  # frames whose mean is taken off: short enough for slow changes, long enough to keep the law's shape
 GROUPS = 10  # of pixels of like mean
-PARTS = 6  # of a group, by level
+PARTS = 4  # of a group, by level
 MOST = 250_000  # counts that are tested: more would tell pixels apart that differ by a per mille
 LEAST_EXPECTED = 10.0  # counts in a bin of the test
 FREE = ("adu_per_electron", "excess_noise_factor", "read_noise_adu", "charge_e")
@@ -42,13 +42,11 @@ class Histogram:
 
     def expected(self, law: Law, baseline_adu: float) -> Array:
         """How many the law puts there (group, edge + 1)."""
-        rows = []
-        groups = zip(self.level_adu, self.offsets_adu, self.edges, self.seen, self.phases, strict=True)
-        for level, offsets, edges, seen, phases in groups:
-            signal = max(level - baseline_adu - law.charge_e * law.adu_per_electron, 0.0)
-            share = below(law, signal + offsets, edges, self.n_mean, phases)
-            rows.append(np.diff(np.concatenate([[0.0], share, [1.0]])) * seen.sum())
-        return np.asarray(np.maximum(np.array(rows), 1e-9))
+        signal = np.maximum(self.level_adu - baseline_adu - law.charge_e * law.adu_per_electron, 0.0)
+        shares = below(law, signal[:, None] + self.offsets_adu, self.edges, self.n_mean, self.phases)
+        ends = np.zeros((len(shares), 1)), np.ones((len(shares), 1))
+        expected = np.diff(np.hstack([ends[0], shares, ends[1]]), axis=1) * self.seen.sum(axis=1, keepdims=True)
+        return np.asarray(np.maximum(expected, 1e-9))
 
 
 @dataclass(frozen=True)

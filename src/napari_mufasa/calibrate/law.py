@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-POINTS = 2**13
+STEPS_PER_SD = 20  # at which a density is known: linear between them the shares of bins are right to 4e-5
+MOST_POINTS = 2**13
+LEAST_LOG = -35.0  # of a characteristic function, below which it is nothing
+FEW_E = 5.0  # electrons below which the law has the read noise's own peak
 PHASES = 16  # of the lattice that whole counts about a mean lie on
 
 
@@ -56,22 +59,31 @@ def _multiplied(t: Array, excess: float) -> NDArray[np.complex128]:
     """Characteristic function of an electron's multiplication, of mean 1 and mean square `excess`."""
     if excess <= 1 + 1e-6:
         return np.asarray(np.exp(1j * t))
+    if excess == 2:  # the same, sooner
+        return np.asarray(1 / (1 - 1j * t))
     shape = 1 / (excess - 1)
-    return np.asarray((1 - 1j * t / shape) ** -shape)
+    size = np.exp(-0.5 * shape * np.log1p((t / shape) ** 2))
+    turn = shape * np.arctan(t / shape)
+    return np.asarray(size * (np.cos(turn) + 1j * np.sin(turn)))
 
 
 def below(law: Law, signals_adu: Array, edges: Array, n_mean: int = 0, phases: Array | None = None) -> Array:
-    """Share of counts, less their mean, that lie below each of the edges (edge,), which ascend.
+    """Share of counts, less their mean, that lie below each of the edges (group, edge), which ascend: (group, edge).
 
-    signals_adu : (level,) of the pixels, as many of each
+    signals_adu : (group, level) of the pixels of a group, as many of each
     n_mean : counts are taken about the mean of so many frames of their own pixel, themselves one of them; 0: about the
         true mean. A random part of a count (even, rms 1/√12) is added to them.
-    phases : (phase,) shares of counts by what is left of them, about their means, modulo 1 ADU, from 0 on: counts are
-        whole, and where the noise is small they lie on a lattice; None: anywhere
+    phases : (group, phase) shares of counts by what is left of them, about their means, modulo 1 ADU, from 0 on: counts
+        are whole, and where the noise is small they lie on a lattice; None: anywhere
     """
-    reach = 1.2 * max(abs(edges[0]), abs(edges[-1])) + 8 * np.sqrt(law.variance(float(np.max(signals_adu))))
-    step = 2 * reach / POINTS
-    t = 2 * np.pi * np.fft.rfftfreq(POINTS, step)
+    numbers = law.electrons(np.asarray(signals_adu))
+    sd = np.sqrt([law.variance(float(end(signals_adu))) for end in (np.min, np.max)])
+    reach = 1.2 * float(np.abs(edges).max()) + 8 * sd[1]
+    # Where hardly an electron is, the read noise alone sets how fine the law is.
+    finest = min(sd[0], max(law.read_noise_adu, 0.3)) if numbers.min() < FEW_E else sd[0]
+    points = min(2 ** int(np.ceil(np.log2(2 * reach / finest * STEPS_PER_SD))), MOST_POINTS)
+    step = 2 * reach / points
+    t = 2 * np.pi * np.fft.rfftfreq(points, step)
     if n_mean > 1:
         electron, noise = law.log_characteristic(t * (1 - 1 / n_mean))
         others = law.log_characteristic(-t / n_mean)
@@ -79,19 +91,30 @@ def below(law: Law, signals_adu: Array, edges: Array, n_mean: int = 0, phases: A
         noise = noise + (n_mean - 1) * (others[1] + _rounding(t / n_mean))
     else:
         electron, noise = law.log_characteristic(t)
-    mixed = np.mean([np.exp(n * electron + noise) for n in law.electrons(np.asarray(signals_adu))], axis=0)
-    density = np.fft.irfft(np.conj(mixed), POINTS) / step
-    density = np.fft.fftshift(density)
-    x = (np.arange(POINTS) - POINTS // 2) * step
-    total = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2) * step])
-    shares = np.full(PHASES, 1 / PHASES) if phases is None else phases
-    # A count c has all levels from c − ½ to c + ½; the random part spreads it evenly over just these.
-    found = np.zeros(len(edges))
-    for phase, share in zip((np.arange(len(shares)) + 0.5) / len(shares), shares, strict=True):
-        cell = np.floor(edges - phase - 0.5) + phase + 0.5
-        low, high = np.interp(cell, x, total), np.interp(cell + 1, x, total)
-        found += share * (low + (edges - cell) * (high - low))
-    return np.asarray(found / total[-1])
+    x = (np.arange(points) - points // 2) * step
+    found = np.empty(np.shape(edges))
+    for group, some in enumerate(numbers):
+        # Far out, where nothing is left of it, it need not be worked out.
+        heard = min(some) * electron.real + noise > LEAST_LOG
+        last = len(t) - int(np.argmax(heard[::-1])) if heard.any() else 1
+        mixed = np.zeros(len(t), np.complex128)
+        mixed[:last] = np.mean([np.exp(n * electron[:last] + noise[:last]) for n in some], axis=0)
+        density = np.fft.fftshift(np.fft.irfft(np.conj(mixed), points)) / step
+        total = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2) * step])
+        own = np.full(PHASES, 1 / PHASES) if phases is None else phases[group]
+        found[group] = _recorded(x, total / total[-1], edges[group], own)
+    return found
+
+
+def _recorded(x: Array, total: Array, edges: Array, phases: Array) -> Array:
+    """Share of rounded counts below the edges (edge,), of levels of which `total` (x,) lie below x.
+
+    A count c has all levels from c − ½ to c + ½; the random part spreads it evenly over just these.
+    """
+    at = (np.arange(len(phases)) + 0.5)[:, None] / len(phases)
+    cell = np.floor(edges - at - 0.5) + at + 0.5
+    low, high = np.interp(cell, x, total), np.interp(cell + 1, x, total)
+    return np.asarray(phases @ (low + (edges - cell) * (high - low)))
 
 
 def _rounding(t: Array) -> Array:
