@@ -1,4 +1,5 @@
-"""How often a simulated camera is measured right: `python -m benchmarks.calibration [--draws N] [--wrong N] [--kind KIND]`.
+"""How often a simulated camera is measured right:
+`python -m benchmarks.calibration [--draws N] [--wrong N] [--kind KIND]`.
 
 For every kind of camera, with and without a read-out kernel: the share of draws in which each number lies in its 95 %
 interval, how often the test of fit rejects the right law (at most 5 %), and laws without excess noise, without

@@ -1,7 +1,7 @@
 """What `propose` makes of the real movies beside the project: `python -m benchmarks.real_proposals [--movie NAME]`.
 
 Beside the proposed PSF width stands a fit of its own: Gaussians fitted by least squares to isolated spots of short
-averages of frames, one by one, and the median of their widths.
+averages of frames (photoelectrons, the read-out's kernel undone), one by one, and the median of their widths.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from scipy import ndimage, optimize
 
 import napari_mufasa as nm
 from benchmarks.real_cameras import told
+from napari_mufasa.camera.detector import photoelectrons
 from napari_mufasa.files.instrument import Instrument
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -32,7 +33,7 @@ MOVIES: dict[str, tuple[str, str | None, int, dict[str, Any]]] = {
 }  # fmt: skip
 
 
-def fitted_sigma_px(movie: Any, frames: int) -> tuple[float, int]:
+def fitted_sigma_px(movie: Any, frames: int, camera: Any) -> tuple[float, int]:
     """Median width of Gaussians fitted to isolated spots, and how many there were."""
     y, x = np.mgrid[-HALF_PX : HALF_PX + 1, -HALF_PX : HALF_PX + 1]
 
@@ -41,7 +42,7 @@ def fitted_sigma_px(movie: Any, frames: int) -> tuple[float, int]:
 
     widths: list[float] = []
     for start in np.linspace(len(movie) // 3, len(movie) - frames, 12).astype(int):
-        image = np.mean(movie[start : start + frames], axis=0, dtype=np.float64)
+        image = photoelectrons(movie[start : start + frames], camera, int(start)).mean(axis=0, dtype=np.float64)
         smooth = ndimage.gaussian_filter(image, 1.0) - ndimage.gaussian_filter(image, 4.0)
         noise = 1.4826 * np.median(np.abs(smooth - np.median(smooth)))
         peaks = np.argwhere((smooth == ndimage.maximum_filter(smooth, 2 * HALF_PX + 1)) & (smooth > 6 * noise))
@@ -58,7 +59,8 @@ def fitted_sigma_px(movie: Any, frames: int) -> tuple[float, int]:
                 continue
             if point[0] > 0 and 0.5 < abs(point[3]) < HALF_PX and np.abs(point[1:3]).max() < 1.5:
                 widths.append(abs(float(point[3])))
-    return float(np.median(widths)) if widths else float("nan"), len(widths)
+    # Pixels add 1/12 to the variance of a recorded spot.
+    return float(np.sqrt(np.median(widths) ** 2 - 1 / 12)) if widths else float("nan"), len(widths)
 
 
 def main() -> None:
@@ -76,7 +78,7 @@ def main() -> None:
         print(f"\n{name} ({spent:.0f} s of processor time)")
         for value, measured in found.values.items():
             print(f"  {value:36s} {told(measured)}")
-        own, spots = fitted_sigma_px(movie, frames)
+        own, spots = fitted_sigma_px(movie, frames, found.model.camera)
         print(f"  {'PSF width by a fit of its own (px)':36s} {own:.4g}, {spots} spots")
         for value, words in found.unknown.items():
             print(f"  unknown: {value}: {words}")

@@ -203,3 +203,29 @@ def test_saturation_is_seen():
     model = camera_with("CCD", adc_max=300).with_values({"optics.background_photons_per_px": 80})
     found = calibrate(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), camera_type="CCD")
     assert found.saturation_adu == 300 == found.camera.adc_max
+
+
+@pytest.mark.realdata
+def test_a_simulated_background_scatters_as_the_real_one():
+    """With the camera measured: correlations at lags 1–3 along both axes within .005, variance over mean within 2 %."""
+    from napari_mufasa.calibrate.light import Light
+
+    movie = real("smfret_ixon_emccd.tif")[:200]
+    found = calibrate(movie, em_gain=300)
+    lit = np.ones(movie.shape[1:], dtype=bool)
+    lit[:, :8] = False
+    seen = Light([movie.astype(np.float32)], lit, len(movie))
+    base = found.baseline_adu.value - 0.5
+    level = float(seen.means.mean()) - base
+    values = {
+        "acquisition.n_frames": 200, "acquisition.shape_px": movie.shape[1:], "sample.n_molecules": 0,
+        "optics.background_photons_per_px": level / found.adu_per_photoelectron.value / found.camera.quantum_efficiency,
+    }  # fmt: skip
+    model = nm.preset("FF").model_copy(update={"camera": found.camera}).with_values(values)
+    made = Light([nm.simulate(model, seed=1).movie.astype(np.float32)], lit, 200)
+    for simulated, measured in ((made.rows.row, seen.rows.row), (made.rows.column, seen.rows.column)):
+        np.testing.assert_allclose(simulated[:3], measured[:3], atol=0.005)
+    ratios = [float(part.variances.mean() / (part.means.mean() - base)) for part in (made, seen)]
+    assert ratios[0] == pytest.approx(ratios[1], rel=0.02)
+    print(f"rows {made.rows.row[:3].round(4)} {seen.rows.row[:3].round(4)}, columns {made.rows.column[:3].round(4)} "
+          f"{seen.rows.column[:3].round(4)}, variance over mean {ratios[0]:.2f} {ratios[1]:.2f}")  # fmt: skip

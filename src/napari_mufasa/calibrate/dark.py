@@ -25,8 +25,9 @@ LEAST_TAIL = 12.0  # twice the gain in log likelihood that a tail must bring (fa
 
 @dataclass(frozen=True)
 class Stray:
-    """Electrons in dark frames that are more than single ones: stray light, dark current. `electrons` per pixel and frame,
-    `adu_per_electron`, and the `offset_adu` and `read_noise_adu` beneath them, by the shape of the histogram."""
+    """Electrons in dark frames that are more than single ones: stray light, dark current.
+
+    `electrons` per pixel and frame, `adu_per_electron`, and the `offset_adu` and `read_noise_adu` beneath them, by the shape of the histogram."""
 
     electrons: Value
     adu_per_electron: Value
@@ -109,7 +110,9 @@ def measure_dark(
     charge = UNKNOWN if charge_e is None else Value(charge_e, 0.0)
     gain, electrons = UNKNOWN, 0.0
     if single:
-        gain, charge = (fit.values.get(name, other) for name, other in (("adu_per_electron", gain), ("charge_e", charge)))
+        gain, charge = (
+            fit.values.get(name, other) for name, other in (("adu_per_electron", gain), ("charge_e", charge))
+        )
         electrons = fit.law.charge_e * fit.law.adu_per_electron
     own = per_frame - alternation.value * (1 - 2 * (np.arange(n) % 2))
     doubt = np.hypot(own.std(ddof=1) / np.sqrt(n), charge.sd * fit.law.adu_per_electron if charge.sd > 0 else 0.0)

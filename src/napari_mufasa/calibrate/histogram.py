@@ -29,7 +29,7 @@ OFFSET = {"excess_noise_factor": 1.0}  # fitted as the logarithm of what is abov
 @dataclass(frozen=True)
 class Histogram:
     """Counts about their means, by groups of pixels: `level_adu` (group,) mean counts + ½ (−∞: no light), `edges`
-    (group, edge), `seen` (group, edge + 1) how many lie below, between and above; `n_mean` frames are in a mean. Within a
+    (group, edge), `seen` (group, edge + 1) how many lie below, between and above; `n_mean` frames are in a mean. In a
     group levels differ, from pixel to pixel and in time: by `offsets_adu` (group, part), as many counts in each part;
     `phases` (group, phase): see `law.below`."""
 
@@ -107,7 +107,7 @@ def of_light(chunks: Sequence[NDArray[np.float32]], pixels: NDArray[np.bool_]) -
     abouts: list[Any] = []
     levels: list[Any] = []
     spreads: list[Any] = []
-    step = max(1, stack.size // MOST)
+    step = max(1, int(np.ceil(stack.size / MOST)))
     for half in (0, 1):
         order = np.argsort(halves[1 - half], kind="stable")
         for g, members in enumerate(np.array_split(order, n_groups)):
@@ -196,7 +196,9 @@ def fit(
     p_value, distance, excess = _misfit(histogram, histogram.expected(found, base), len(free))
     values = {}
     if len(free):
-        spread = np.sqrt(excess) * _spread(surprise, start)
+        # Counts about a mean that they are part of are fewer than they look.
+        fewer = histogram.n_mean / (histogram.n_mean - 1) if histogram.n_mean > 1 else 1.0
+        spread = np.sqrt(excess * fewer) * _spread(surprise, start)
         for n, p, sd in zip(free, start, spread, strict=True):
             shift, size = OFFSET.get(n, 0.0), float(np.exp(p))
             reach = float(np.exp(min(NORMAL * sd, 8.0)))
@@ -245,7 +247,9 @@ def _tested(seen: Array) -> tuple[Array, float]:
     total = int(seen.sum())
     if total <= MOST:
         return seen, 1.0
-    drawn = np.random.default_rng(0).multivariate_hypergeometric(seen.ravel().astype(np.int64), MOST, method="marginals")
+    drawn = np.random.default_rng(0).multivariate_hypergeometric(
+        seen.ravel().astype(np.int64), MOST, method="marginals"
+    )
     return np.asarray(drawn.reshape(seen.shape), np.float64), MOST / total
 
 

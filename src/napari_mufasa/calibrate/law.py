@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-STEPS_PER_SD = 20  # at which a density is known: linear between them the shares of bins are right to 4e-5
+STEPS_PER_BIN = 5  # at which a density is known: linear between them the shares of bins are right to 1e-5
+BINS_BEYOND = 40.0  # that the law goes on beyond the edges, lest its ends meet
 MOST_POINTS = 2**13
 LEAST_LOG = -35.0  # of a characteristic function, below which it is nothing
-FEW_E = 5.0  # electrons below which the law has the read noise's own peak
 PHASES = 16  # of the lattice that whole counts about a mean lie on
 
 
@@ -37,7 +37,7 @@ class Law:
     weights: tuple[float, ...] = (1.0,)
 
     def log_characteristic(self, t: Array) -> tuple[NDArray[np.complex128], Array]:
-        """Of a level before it is rounded, about its mean, at t in 1/ADU: what each electron adds, and the read noise."""
+        """Of a level before it is rounded, about its mean, at t (1/ADU): what each electron adds, and read noise."""
         electron = np.zeros(len(t), np.complex128)
         for weight in self.weights:
             one = self.adu_per_electron * weight * t
@@ -77,11 +77,10 @@ def below(law: Law, signals_adu: Array, edges: Array, n_mean: int = 0, phases: A
         are whole, and where the noise is small they lie on a lattice; None: anywhere
     """
     numbers = law.electrons(np.asarray(signals_adu))
-    sd = np.sqrt([law.variance(float(end(signals_adu))) for end in (np.min, np.max)])
-    reach = 1.2 * float(np.abs(edges).max()) + 8 * sd[1]
-    # Where hardly an electron is, the read noise alone sets how fine the law is.
-    finest = min(sd[0], max(law.read_noise_adu, 0.3)) if numbers.min() < FEW_E else sd[0]
-    points = min(2 ** int(np.ceil(np.log2(2 * reach / finest * STEPS_PER_SD))), MOST_POINTS)
+    # The grid goes by the edges alone: one that moved with the law would make its likelihood rough.
+    widths = np.diff(edges, axis=1).min(axis=1)
+    reach = 1.2 * float(np.abs(edges).max()) + BINS_BEYOND * float(widths.max())
+    points = min(2 ** int(np.ceil(np.log2(2 * reach / float(widths.min()) * STEPS_PER_BIN))), MOST_POINTS)
     step = 2 * reach / points
     t = 2 * np.pi * np.fft.rfftfreq(points, step)
     if n_mean > 1:

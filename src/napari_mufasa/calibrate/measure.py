@@ -248,10 +248,10 @@ def _stray_words(dark: Dark) -> str:
     assert dark.stray is not None
     stray = dark.stray
     return (
-        f"the dark frames are not quite dark: their histogram is that of {stray.electrons} electrons per pixel and frame, "
-        f"{stray.adu_per_electron} ADU each, above an offset of {stray.offset_adu} ADU with a read noise of "
-        f"{stray.read_noise_adu} ADU (stray light or dark current); baseline and read noise are told as the frames have "
-        "them, electrons included"
+        f"the dark frames are not quite dark: their histogram is that of {stray.electrons} electrons per pixel and "
+        f"frame, {stray.adu_per_electron} ADU each, above an offset of {stray.offset_adu} ADU with a read noise of "
+        f"{stray.read_noise_adu} ADU (stray light or dark current); baseline and read noise are told as the frames "
+        "have them, electrons included"
     )
 
 
@@ -288,9 +288,7 @@ def _read_noise(dark: Dark | None, assumed: Assumed) -> tuple[Value, float]:
     return dark.read_noise, dark.variance
 
 
-def _kernel(
-    light: Light, dark: Dark | None, dark_variance: float, assumed: Assumed
-) -> tuple[tuple[float, ...], Array]:
+def _kernel(light: Light, dark: Dark | None, dark_variance: float, assumed: Assumed) -> tuple[tuple[float, ...], Array]:
     """Shares of the pixels before, and the correlations (lag,) that they give to light."""
     if assumed.readout_kernel is not None:
         weights = np.array([1.0, *assumed.readout_kernel])
@@ -374,9 +372,7 @@ def _without_dark(
     return base, read, fit
 
 
-def _row_p_value(
-    light: Light, of_light: Array, dark: Dark | None, dark_variance: float, assumed: Assumed
-) -> float:
+def _row_p_value(light: Light, of_light: Array, dark: Dark | None, dark_variance: float, assumed: Assumed) -> float:
     """Chance of the correlations along rows that neither the light's kernel nor the read noise explains; lags that the
     kernel was measured on say nothing."""
     from scipy import stats

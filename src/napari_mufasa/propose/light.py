@@ -32,8 +32,8 @@ LEAST_BLINKS = 0.5  # dark times per molecule from which on blinking is believed
 @dataclass(frozen=True)
 class Seen:
     """psf_sigma_px · background_e (photoelectrons per pixel and frame) · n_molecules · on_level_e (photoelectrons of a
-    bright molecule per frame) · bleaching_per_frame, off_per_frame (rates) · dark_frames (mean dark time in frames) · moved: molecules
-    move, so that the width is that of a few frames, not of the whole movie."""
+    bright molecule per frame) · bleaching_per_frame, off_per_frame (rates) · dark_frames (mean dark time in frames) ·
+    moved: molecules move, so that the width is that of a few frames, not of the whole movie."""
 
     psf_sigma_px: Value
     background_e: Value
@@ -76,14 +76,19 @@ def _width_of_short_runs(movie: Any, camera: Camera, dark: Any, sigma_px: float)
     """PSF width in averages of so few frames that molecules hardly move in them; unknown where too few are seen."""
     from napari_mufasa.traces import extract_traces
 
-    widths: list[float] = []
-    for start in np.unique(np.linspace(0, movie.shape[0] - SHORT_RUN, SHORT_RUNS).astype(int)):
-        if start < 0:
+    starts = np.unique(np.linspace(0, movie.shape[0] - SHORT_RUN, SHORT_RUNS).astype(int))
+    width = Value(sigma_px, float("nan"))
+    for _ in range(2):  # moments are read under a window of the width believed
+        seen: list[Any] = []
+        for start in starts[starts >= 0]:
+            run = np.asarray(movie[start : start + SHORT_RUN])
+            spots = _isolated(extract_traces(run, camera, dark, psf_sigma_px=width.value))
+            seen.append(spots[["sigma_minor_px", "sigma_major_px", "neighbour_px"]].to_numpy())
+        minor, major, apart = np.concatenate(seen).T if seen else np.empty((3, 0))
+        if len(minor) < SHORT_SPOTS:
             return UNKNOWN
-        found = extract_traces(np.asarray(movie[start : start + SHORT_RUN]), camera, dark, psf_sigma_px=sigma_px)
-        spots = _isolated(found)
-        widths += list(np.sqrt(spots["sigma_minor_px"].to_numpy() * spots["sigma_major_px"].to_numpy()))
-    return _middle_width(np.array(widths)) if len(widths) >= SHORT_SPOTS else UNKNOWN
+        width = _middle_width(np.sqrt(minor * major)[apart >= np.median(apart)])  # neighbours widen
+    return width
 
 
 def _isolated(found: TraceSet) -> Any:
@@ -125,7 +130,7 @@ def _number(found: TraceSet, shape: tuple[int, ...], bleaching_per_frame: Value)
 def _frames_to_be_seen(found: TraceSet) -> float:
     """How long a molecule must shine for its light to be found.
 
-    Most are found in the mean of all frames: light in a share L/n of them stands L/√n single-frame SNRs above its noise.
+    Most are found in the mean of all n frames: light in L of them stands L/√n single-frame SNRs above its noise.
     """
     snr = found.molecules["snr"].to_numpy()[found.kept]
     return SEEN_SD * float(np.sqrt(found.lit.shape[1])) / max(float(np.median(snr)), 0.1) if len(snr) else 0.0
