@@ -27,7 +27,9 @@ LEAST_TAIL = 12.0  # twice the gain in log likelihood that a tail must bring (fa
 class Stray:
     """Electrons in dark frames that are more than single ones: stray light, dark current.
 
-    `electrons` per pixel and frame, `adu_per_electron`, and the `offset_adu` and `read_noise_adu` beneath them, by the shape of the histogram."""
+    `electrons` per pixel and frame, `adu_per_electron`, and the `offset_adu` and `read_noise_adu` beneath them, by the
+    shape of the histogram.
+    """
 
     electrons: Value
     adu_per_electron: Value
