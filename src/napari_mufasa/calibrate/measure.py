@@ -203,13 +203,14 @@ def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, 
             start = replace(law, excess_noise_factor=1.8)
             free = histogram.fit("light", seen, start, ("adu_per_electron", "excess_noise_factor"), beneath)
             excess = free.values["excess_noise_factor"] if _tells_shape(free) else UNKNOWN
-            if assumed.excess_noise_factor is None and fit.p_value < REJECTED < free.p_value:
+            told = assumed.excess_noise_factor is None and np.isfinite(excess.value)
+            if told and fit.p_value < REJECTED < free.p_value:
                 fit, per_electron = free, _either(slope, factor, excess)
                 notes.append(_excess_words(slope, factor, excess))
         fits.append(fit)
     elif not known:
-        base, read, fit = _without_dark(light, fitted, seen, law, slope, assumed, notes)
-        fits += [] if fit is None else [fit]
+        base, read, darkest = _without_dark(light, fitted, seen, law, slope, assumed, notes)
+        fits += [] if darkest is None else [darkest]
         level = base.value - 0.5
         curve = transfer.curve(light.means.mean(axis=0) - level, light.variances.mean(axis=0) - read.value**2)
     readout = Readout(
