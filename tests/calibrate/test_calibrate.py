@@ -108,6 +108,9 @@ def test_real_yeast_and_smfret():
     assert rows.alternation_adu.value == pytest.approx(2.0, abs=0.3)
     power = sum(w**2 for w in (1, *rows.kernel)) / sum((1, *rows.kernel)) ** 2
     assert 20 <= yeast.slope_adu.value * power <= 24  # as the raw variance has it
+    # What the frames before the laser hold is electrons: each makes as many counts as one of the light.
+    assert yeast.stray is not None
+    assert yeast.stray.adu_per_electron.value == pytest.approx(yeast.adu_per_photoelectron.value, rel=0.1)
 
 
 @pytest.mark.realdata
@@ -122,11 +125,17 @@ def test_real_smfret_without_dark_frames():
 
 @pytest.mark.realdata
 def test_real_polymerase_and_its_dark_half():
-    movie, dark = real("polymerase_ixon888_emccd.tif")[:60], real("polymerase_ixon888_dark.tif")
+    movie, dark = real("polymerase_ixon888_emccd.tif"), real("polymerase_ixon888_dark.tif")
     known = calibrate(movie, dark, em_gain=400)
-    # Along a row, of all pixels; motion of the sample adds 0.02 to it, and as much along columns.
-    assert known.readout.correlations_everywhere[0] == pytest.approx(-0.115, abs=0.01)
-    assert known.readout.row_correlations[0] == pytest.approx(-0.138, abs=0.01)
+    # Of all pixels; motion of the sample adds 0.02 along rows and columns alike.
+    along_rows, along_columns = known.readout.everywhere_row[0], known.readout.everywhere_column[0]
+    assert along_rows.value == pytest.approx(-0.115, abs=0.01)
+    assert along_rows.sd < 0.01
+    assert along_rows.value - along_columns.value == pytest.approx(known.readout.row_correlations[0], abs=0.005)
+    assert known.readout.shares[0].value == pytest.approx(-0.167, abs=0.01)  # of the light alone
+    assert known.law_holds
+    movie = movie[:60]
+    known = calibrate(movie, dark, em_gain=400)
     shaded = calibrate(np.concatenate([movie, dark], axis=1), em_gain=400)
     assert "lie in shadow" in shaded.notes[0]
     assert shaded.baseline_adu.value == pytest.approx(known.baseline_adu.value, abs=5)
@@ -194,3 +203,29 @@ def test_saturation_is_seen():
     model = camera_with("CCD", adc_max=300).with_values({"optics.background_photons_per_px": 80})
     found = calibrate(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), camera_type="CCD")
     assert found.saturation_adu == 300 == found.camera.adc_max
+
+
+@pytest.mark.realdata
+def test_a_simulated_background_scatters_as_the_real_one():
+    """With the camera measured: correlations at lags 1–3 along both axes within .005, variance over mean within 2 %."""
+    from napari_mufasa.calibrate.light import Light
+
+    movie = real("smfret_ixon_emccd.tif")[:200]
+    found = calibrate(movie, em_gain=300)
+    lit = np.ones(movie.shape[1:], dtype=bool)
+    lit[:, :8] = False
+    seen = Light([movie.astype(np.float32)], lit, len(movie))
+    base = found.baseline_adu.value - 0.5
+    level = float(seen.means.mean()) - base
+    values = {
+        "acquisition.n_frames": 200, "acquisition.shape_px": movie.shape[1:], "sample.n_molecules": 0,
+        "optics.background_photons_per_px": level / found.adu_per_photoelectron.value / found.camera.quantum_efficiency,
+    }  # fmt: skip
+    model = nm.preset("FF").model_copy(update={"camera": found.camera}).with_values(values)
+    made = Light([nm.simulate(model, seed=1).movie.astype(np.float32)], lit, 200)
+    for simulated, measured in ((made.rows.row, seen.rows.row), (made.rows.column, seen.rows.column)):
+        np.testing.assert_allclose(simulated[:3], measured[:3], atol=0.005)
+    ratios = [float(part.variances.mean() / (part.means.mean() - base)) for part in (made, seen)]
+    assert ratios[0] == pytest.approx(ratios[1], rel=0.02)
+    print(f"rows {made.rows.row[:3].round(4)} {seen.rows.row[:3].round(4)}, columns {made.rows.column[:3].round(4)} "
+          f"{seen.rows.column[:3].round(4)}, variance over mean {ratios[0]:.2f} {ratios[1]:.2f}")  # fmt: skip

@@ -24,6 +24,20 @@ LEAST_TAIL = 12.0  # twice the gain in log likelihood that a tail must bring (fa
 
 
 @dataclass(frozen=True)
+class Stray:
+    """Electrons in dark frames that are more than single ones: stray light, dark current.
+
+    `electrons` per pixel and frame, `adu_per_electron`, and the `offset_adu` and `read_noise_adu` beneath them, by the
+    shape of the histogram.
+    """
+
+    electrons: Value
+    adu_per_electron: Value
+    offset_adu: Value
+    read_noise_adu: Value
+
+
+@dataclass(frozen=True)
 class Dark:
     """Of dark frames.
 
@@ -36,6 +50,8 @@ class Dark:
     variance : of a pixel in time, ADU², all of it
     rows : correlations of neighbours, None where frames are too few
     fit : the law against the histogram, None where frames are too few
+    stray : where the histogram shows that the frames are not quite dark; baseline and read noise are then those of the
+        frames as they are, electrons included
     pixels : (y, x) of a map that is used below: mean, and variance in time (ADU², None where frames are too few)
     """
 
@@ -51,6 +67,13 @@ class Dark:
     fit: Fit | None
     mean_map: NDArray[np.float64]
     variance_map: NDArray[np.float64] | None
+    stray: Stray | None = None
+
+    @property
+    def level(self) -> float:
+        """The recorded mean without light, ADU."""
+        single = self.charge.value * self.gain.value
+        return self.baseline.value - 0.5 + (single if np.isfinite(single) else 0.0)
 
 
 def checked_dark(dark: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -85,11 +108,15 @@ def measure_dark(
     rows = correlations(flat - flat.mean(axis=0), mask, (1.0,))
     variance = rows.variance * n / (n - 1)
     alternation, jitter = _frames(per_frame, variance, int(mask.sum()), rows)
-    fit, read = _law(flat[:, mask][:, None, :], register, charge_e, weights)
-    gain = fit.values.get("adu_per_electron", UNKNOWN)
-    charge = fit.values.get("charge_e", UNKNOWN if charge_e is None else Value(charge_e, 0.0))
+    fit, read, single = _law(flat[:, mask][:, None, :], register, charge_e, weights)
+    charge = UNKNOWN if charge_e is None else Value(charge_e, 0.0)
+    gain, electrons = UNKNOWN, 0.0
+    if single:
+        gain, charge = (
+            fit.values.get(name, other) for name, other in (("adu_per_electron", gain), ("charge_e", charge))
+        )
+        electrons = fit.law.charge_e * fit.law.adu_per_electron
     own = per_frame - alternation.value * (1 - 2 * (np.arange(n) % 2))
-    electrons = fit.law.charge_e * fit.law.adu_per_electron
     doubt = np.hypot(own.std(ddof=1) / np.sqrt(n), charge.sd * fit.law.adu_per_electron if charge.sd > 0 else 0.0)
     from scipy import stats
 
@@ -100,8 +127,18 @@ def measure_dark(
     tail = float(np.mean(flat[:, mask] - np.median(flat[:, mask]) > TAIL_SD * core))
     variance_map = np.var(flat, axis=0, ddof=1)
     return Dark(
-        baseline, read, charge, gain, alternation, jitter, tail, variance, rows, fit, mean_map, variance_map
+        baseline, read, charge, gain, alternation, jitter, tail, variance, rows, fit, mean_map, variance_map,
+        None if single else _stray(fit, baseline),
     )  # fmt: skip
+
+
+def _stray(fit: Fit, baseline: Value) -> Stray:
+    one, number = fit.values["adu_per_electron"], fit.values["charge_e"]
+    made = one.value * number.value
+    # Their variance is known, so that fewer electrons of more counts, or more of fewer, trade with the offset.
+    doubt = made * one.sd / one.value
+    offset = Value(baseline.value - made, float(np.hypot(doubt, baseline.sd)))
+    return Stray(number, one, offset, fit.values["read_noise_adu"])
 
 
 def _few(values: NDArray[np.float64], per_frame: NDArray[np.float64], mean_map: NDArray[np.float64]) -> Dark:
@@ -137,8 +174,8 @@ def _frames(per_frame: NDArray[np.float64], variance: float, n_pixels: int, rows
 
 def _law(
     flat: NDArray[np.float64], register: bool, charge_e: float | None, weights: tuple[float, ...]
-) -> tuple[Fit, Value]:
-    """The law of the histogram, and the read noise."""
+) -> tuple[Fit, Value, bool]:
+    """The law of the histogram, the read noise, and whether the law's electrons, if any, stand alone."""
     seen = histogram.of_dark(flat, register)
     n = flat.size
     grown = np.sqrt(len(flat) / (len(flat) - 1))  # the mean took its part
@@ -147,7 +184,7 @@ def _law(
     plain = histogram.fit("dark", seen, Law(1.0, 1.0, max(left, 0.3)), ("read_noise_adu",), 0.0)
     rms = plain.values["read_noise_adu"]
     if plain.p_value > GOOD or not register or charge_e == 0 or left <= 0:
-        return plain, rms
+        return plain, rms, True
     beyond = flat[flat > TAIL_SD * left]
     gain = max(float(np.mean(beyond - TAIL_SD * left)) if len(beyond) else 0.0, left)
     charge = max(charge_e or 0.0, len(beyond) / n * np.exp(TAIL_SD * left / gain), 1e-5)
@@ -158,12 +195,18 @@ def _law(
         tailed.law.adu_per_electron * max(weights) > tailed.law.read_noise_adu and tailed.law.charge_e < MOST_CHARGE_E
     )
     if clear and 2 * (_likelihood(tailed) - _likelihood(plain)) > LEAST_TAIL:
-        return tailed, tailed.values["read_noise_adu"]
+        return tailed, tailed.values["read_noise_adu"], True
     # Neither normal nor with a tail of single electrons: between the core and the rms.
     core = np.sqrt(max(left**2 - 1 / 12, 0.0))
     doubt = 1.3 * left / np.sqrt(n)
     low, high = sorted((core - NORMAL * doubt, max(rms.interval[1], core + NORMAL * doubt)))
-    return plain, Value(float(core), float((high - low) / (2 * NORMAL)), float(low), float(high))
+    read = Value(float(core), float((high - low) / (2 * NORMAL)), float(low), float(high))
+    if charge_e is None:
+        many = histogram.fit("dark", seen, Law(left / 2, 2.0, left / 2, 4.0, weights), free, 0.0)
+        many = max(many, tailed, key=_likelihood)
+        if 2 * (_likelihood(many) - _likelihood(plain)) > LEAST_TAIL and many.distance < plain.distance / 2:
+            return many, read, False
+    return plain, read, True
 
 
 def _likelihood(fit: Fit) -> float:

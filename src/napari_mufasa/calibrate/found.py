@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.calibrate.dark import Stray
 from napari_mufasa.calibrate.histogram import Fit
 from napari_mufasa.calibrate.value import UNKNOWN, Value
 
@@ -27,7 +28,9 @@ class Readout:
     kernel, noise_kernel : shares of the pixels before, of the signal and of the read noise; `shares`: the former with
         intervals (none where it was given)
     row_correlations, column_correlations : of neighbours' noise at lags 1 …, in pixels without spots, each ±
-        `correlations_sd`; `correlations_everywhere` along rows, spots included
+        `correlations_sd`
+    everywhere_row, everywhere_column : of all lit pixels as the movie has them, by differences of successive frames:
+        what moving molecules do to neighbours along rows and columns alike is in them
     dark_row_correlations : the same in the dark
     alternation_adu, jitter_adu : of the frames' baselines
     """
@@ -37,7 +40,8 @@ class Readout:
     shares: tuple[Value, ...]
     row_correlations: Array
     column_correlations: Array
-    correlations_everywhere: Array
+    everywhere_row: tuple[Value, ...]
+    everywhere_column: tuple[Value, ...]
     correlations_sd: float
     dark_row_correlations: Array | None
     alternation_adu: Value
@@ -52,7 +56,8 @@ class Readout:
             "noise_kernel": list(self.noise_kernel),
             "row_correlations": self.row_correlations.tolist(),
             "column_correlations": self.column_correlations.tolist(),
-            "row_correlations_spots_included": self.correlations_everywhere.tolist(),
+            "row_correlations_spots_included": [value.plain() for value in self.everywhere_row],
+            "column_correlations_spots_included": [value.plain() for value in self.everywhere_column],
             "correlations_sd": self.correlations_sd,
             "dark_row_correlations": None if dark is None else dark.tolist(),
             "alternation_adu": self.alternation_adu.plain(),
@@ -75,6 +80,7 @@ class Calibration:
     readout : kernel, correlations, alternation
     fits : laws against histograms, dark and lit; row_p_value : what the kernel leaves of the rows' correlations
     em_gain, electrons_per_adu : one of them as given, the other with its interval
+    stray : electrons of dark frames that are not quite dark
     saturation_adu : where counts pile up; None: nowhere
     camera : a `Camera` with these values; curve : photon transfer (mean − baseline, variance − dark) in ADU
     notes : what was assumed
@@ -97,6 +103,7 @@ class Calibration:
     electrons_per_adu: Value = UNKNOWN
     saturation_adu: float | None = None
     notes: list[str] = field(default_factory=list)
+    stray: Stray | None = None
 
     @property
     def law_holds(self) -> bool:
@@ -121,6 +128,7 @@ class Calibration:
             **{name: getattr(self, name).plain() for name in names},
             "excess_noise_factor": self.excess_noise_factor,
             "tail_fraction": tail if np.isfinite(tail) else None,
+            "stray": None if self.stray is None else {name: v.plain() for name, v in vars(self.stray).items()},
             "saturation_adu": self.saturation_adu,
             "readout": self.readout.report(),
             "test_of_fit": {

@@ -19,7 +19,8 @@ from napari_mufasa.calibrate.value import NORMAL, Value
 Array = NDArray[np.float64]
 BLOCK = 8  # frames whose mean is taken off: short enough for slow changes, long enough to keep the law's shape
 GROUPS = 10  # of pixels of like mean
-MOST = 250_000  # counts that are looked at: more would tell pixels apart that differ by a per mille
+PARTS = 4  # of a group, by level
+MOST = 250_000  # counts that are tested: more would tell pixels apart that differ by a per mille
 LEAST_EXPECTED = 10.0  # counts in a bin of the test
 FREE = ("adu_per_electron", "excess_noise_factor", "read_noise_adu", "charge_e")
 OFFSET = {"excess_noise_factor": 1.0}  # fitted as the logarithm of what is above
@@ -28,11 +29,12 @@ OFFSET = {"excess_noise_factor": 1.0}  # fitted as the logarithm of what is abov
 @dataclass(frozen=True)
 class Histogram:
     """Counts about their means, by groups of pixels: `level_adu` (group,) mean counts + ½ (−∞: no light), `edges`
-    (group, edge), `seen` (group, edge + 1) how many lie below, between and above; `n_mean` frames are in a mean. Pixels
-    of a group differ in level by `spread_adu` (group,) rms; `phases` (group, phase): see `law.below`."""
+    (group, edge), `seen` (group, edge + 1) how many lie below, between and above; `n_mean` frames are in a mean. In a
+    group levels differ, from pixel to pixel and in time: by `offsets_adu` (group, part), as many counts in each part;
+    `phases` (group, phase): see `law.below`."""
 
     level_adu: Array
-    spread_adu: Array
+    offsets_adu: Array
     edges: Array
     seen: Array
     n_mean: int
@@ -40,15 +42,11 @@ class Histogram:
 
     def expected(self, law: Law, baseline_adu: float) -> Array:
         """How many the law puts there (group, edge + 1)."""
-        rows = []
-        groups = zip(self.level_adu, self.spread_adu, self.edges, self.seen, self.phases, strict=True)
-        for level, spread, edges, seen, phases in groups:
-            signal = level - baseline_adu - law.charge_e * law.adu_per_electron
-            # Two levels have the mean and the spread of all.
-            signals = (signal - spread, signal + spread) if spread > 0 else (signal,)
-            share = np.mean([below(law, max(one, 0.0), edges, self.n_mean, phases) for one in signals], axis=0)
-            rows.append(np.diff(np.concatenate([[0.0], share, [1.0]])) * seen.sum())
-        return np.asarray(np.maximum(np.array(rows), 1e-9))
+        signal = np.maximum(self.level_adu - baseline_adu - law.charge_e * law.adu_per_electron, 0.0)
+        shares = below(law, signal[:, None] + self.offsets_adu, self.edges, self.n_mean, self.phases)
+        ends = np.zeros((len(shares), 1)), np.ones((len(shares), 1))
+        expected = np.diff(np.hstack([ends[0], shares, ends[1]]), axis=1) * self.seen.sum(axis=1, keepdims=True)
+        return np.asarray(np.maximum(expected, 1e-9))
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Fit:
     Attributes
     ----------
     law, values : the law, and its fitted numbers with intervals (widened by the misfit, where there is one)
-    p_value : chance of a misfit as large where the law is right
+    p_value : chance of a misfit as large where the law is right, of `MOST` counts
     distance : half the sum of |seen − expected| as a share of all: the part of the counts that the law puts elsewhere
     histogram, baseline_adu : what it was fitted to
     """
@@ -84,7 +82,7 @@ def of_dark(dark: Array, tail: bool) -> Histogram:
     n = len(dark)
     values = dark.reshape(n, -1)
     about = (values - values.mean(axis=0)).ravel()
-    return _histogram([about], [-np.inf], [0.0], n, tail)
+    return _histogram([about], [-np.inf], [np.zeros(1)], n, tail)
 
 
 def of_light(chunks: Sequence[NDArray[np.float32]], pixels: NDArray[np.bool_]) -> Histogram | None:
@@ -109,15 +107,17 @@ def of_light(chunks: Sequence[NDArray[np.float32]], pixels: NDArray[np.bool_]) -
     abouts: list[Any] = []
     levels: list[Any] = []
     spreads: list[Any] = []
-    step = max(1, stack.size // MOST)
+    step = max(1, int(np.ceil(stack.size / MOST)))
     for half in (0, 1):
         order = np.argsort(halves[1 - half], kind="stable")
         for g, members in enumerate(np.array_split(order, n_groups)):
             some = members[::step] if len(members) >= 9 * step else members
             part = stack[half::2][:, :, some]
             quarters = [means[half + 2 * q :: 4, some].mean(axis=0) for q in (0, 1)] if len(means) > 3 else halves
-            spreads.append(float(np.sqrt(max(np.cov(*quarters)[0, 1], 0.0))) if n_groups > 1 else 0.0)
-            about = (part - part.mean(axis=1, keepdims=True, dtype=np.float64)).ravel()
+            between = max(np.cov(*quarters)[0, 1], 0.0) if n_groups > 1 else 0.0
+            about = part - part.mean(axis=1, keepdims=True, dtype=np.float64)
+            spreads.append(_parts(means[half::2, some], between, float(about.var()) / (BLOCK - 1)))
+            about = about.ravel()
             if half == 0:
                 abouts.append([about])
                 levels.append([part.mean(dtype=np.float64) + 0.5])
@@ -125,12 +125,26 @@ def of_light(chunks: Sequence[NDArray[np.float32]], pixels: NDArray[np.bool_]) -
                 abouts[g].append(about)
                 levels[g].append(part.mean(dtype=np.float64) + 0.5)
     level = [float(np.mean(level)) for level in levels]
-    spread = np.mean(np.reshape(spreads, (2, n_groups)), axis=0)
-    return _histogram([np.concatenate(a) for a in abouts], level, list(spread), BLOCK)
+    offsets = np.mean(np.reshape(spreads, (2, n_groups, PARTS)), axis=0)
+    return _histogram([np.concatenate(a) for a in abouts], level, list(offsets), BLOCK)
+
+
+def _parts(means: Array, between: float, noise: float) -> Array:
+    """How the levels within a group differ, in `PARTS` of equal size (part,), ADU about their mean.
+
+    means : (block, pixel), pixels in the order of what other frames say of them, so that noise does not order them
+    between : variance of pixels' true levels, `noise` : variance of a mean by noise alone, both ADU²
+    """
+    cells = np.array([part.mean(axis=1) for part in np.array_split(means, min(PARTS, means.shape[1]), axis=1)])
+    course = float(np.var(means.mean(axis=1))) - noise / means.shape[1]
+    true = between + max(course, 0.0)
+    parts = np.array([part.mean() for part in np.array_split(np.sort(cells.ravel()), PARTS)]) - cells.mean()
+    rms = float(np.sqrt(np.mean(parts**2)))
+    return np.asarray(parts * np.sqrt(true) / rms if rms > 0 else np.zeros(PARTS))
 
 
 def _histogram(
-    abouts: Sequence[Array], levels: Sequence[float], spreads: Sequence[float], n_mean: int, tail: bool = False
+    abouts: Sequence[Array], levels: Sequence[float], offsets: Sequence[Array], n_mean: int, tail: bool = False
 ) -> Histogram:
     rng = np.random.default_rng(0)
     edges, seen, phases = [], [], []
@@ -147,7 +161,7 @@ def _histogram(
         cells = np.searchsorted(edges[-1], about, side="right")
         seen.append(np.bincount(cells, minlength=len(scale) + 1))
     return Histogram(
-        np.array(levels), np.array(spreads), np.array(edges), np.array(seen, dtype=float), n_mean, np.array(phases)
+        np.array(levels), np.array(offsets), np.array(edges), np.array(seen, dtype=float), n_mean, np.array(phases)
     )
 
 
@@ -182,7 +196,9 @@ def fit(
     p_value, distance, excess = _misfit(histogram, histogram.expected(found, base), len(free))
     values = {}
     if len(free):
-        spread = np.sqrt(excess) * _spread(surprise, start)
+        # Counts about a mean that they are part of are fewer than they look.
+        fewer = histogram.n_mean / (histogram.n_mean - 1) if histogram.n_mean > 1 else 1.0
+        spread = np.sqrt(excess * fewer) * _spread(surprise, start)
         for n, p, sd in zip(free, start, spread, strict=True):
             shift, size = OFFSET.get(n, 0.0), float(np.exp(p))
             reach = float(np.exp(min(NORMAL * sd, 8.0)))
@@ -214,7 +230,8 @@ def _misfit(histogram: Histogram, expected: Array, n_fitted: int) -> tuple[float
     from scipy import stats
 
     total, dof = 0.0, -n_fitted
-    for seen, law in zip(histogram.seen, expected, strict=True):
+    tested, share = _tested(histogram.seen)
+    for seen, law in zip(tested, expected * share, strict=True):
         cells = _merged(law)
         s, e = np.bincount(cells, seen), np.bincount(cells, law)
         total += float(np.sum((s - e) ** 2 / e))
@@ -223,6 +240,17 @@ def _misfit(histogram: Histogram, expected: Array, n_fitted: int) -> tuple[float
     if dof < 1:
         return 1.0, distance, 1.0
     return float(stats.chi2.sf(total, dof)), distance, max(1.0, total / dof)
+
+
+def _tested(seen: Array) -> tuple[Array, float]:
+    """`MOST` counts of all, drawn without looking, and which share that is."""
+    total = int(seen.sum())
+    if total <= MOST:
+        return seen, 1.0
+    drawn = np.random.default_rng(0).multivariate_hypergeometric(
+        seen.ravel().astype(np.int64), MOST, method="marginals"
+    )
+    return np.asarray(drawn.reshape(seen.shape), np.float64), MOST / total
 
 
 def _merged(expected: Array) -> NDArray[np.int64]:

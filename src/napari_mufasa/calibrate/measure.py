@@ -24,6 +24,7 @@ from napari_mufasa.calibrate.found import Calibration, Readout
 from napari_mufasa.calibrate.histogram import Fit
 from napari_mufasa.calibrate.instrument import camera_of
 from napari_mufasa.calibrate.law import Law
+from napari_mufasa.calibrate.light import Light
 from napari_mufasa.calibrate.sample import leading_dark_frames, lit_chunks, shadow
 from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
 from napari_mufasa.camera.darkness import light_in_dark
@@ -32,6 +33,7 @@ from napari_mufasa.errors import MufasaError
 Array = NDArray[np.float64]
 CameraType = Literal["CCD", "EMCCD", "CMOS"]
 LARGEST_MISFIT = 0.006  # share of counts elsewhere than the law says, above which its shape tells no excess noise
+REJECTED = 0.006  # p-value below which a histogram is not believed: three tests at 2 %
 WIDE_PX = 32  # frames from which on the first columns can be spared
 DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
 
@@ -117,8 +119,8 @@ def calibrate(
     if shaded is not None:
         lit &= ~shaded
         notes.append(f"{100 * shaded.mean():.0f} % of the pixels lie in shadow and were used in place of dark frames")
-    seen = _Light(chunks, lit, shape[0] - first)
-    if seen_dark is not None and frames is not None and seen_dark.charge.value > 0:
+    seen = Light(chunks, lit, shape[0] - first)
+    if seen_dark is not None and frames is not None and (seen_dark.charge.value > 0 or seen_dark.stray):
         # What an electron looks like in the dark depends on the kernel, which the light tells.
         weights = _weights(_kernel(seen, seen_dark, seen_dark.variance, assumed)[0])
         if len(weights) > 1:
@@ -164,85 +166,111 @@ def _weights(kernel: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(float(w) for w in weights / weights.sum())
 
 
-class _Light:
-    """What is read off the lit frames before anything is assumed of the camera."""
-
-    def __init__(self, chunks: list[NDArray[np.float32]], lit: NDArray[np.bool_], n_frames: int) -> None:
-        self.chunks, self.n_frames = chunks, n_frames
-        means, variances = transfer.photon_transfer(chunks)
-        chosen = np.flatnonzero(lit.ravel())
-        means, variances = (a.reshape(len(a), -1)[:, chosen] for a in (means, variances))
-        steady = transfer.steady_pixels(means, variances)
-        mean = np.mean([chunk.mean(axis=0, dtype=np.float64) for chunk in chunks], axis=0)
-        still = np.zeros(lit.shape, dtype=bool)
-        still.ravel()[chosen[steady]] = True
-        quiet = still & transfer.quiet_pixels(mean)
-        self.quiet = quiet if quiet.sum() > max(9, 0.02 * quiet.size) else still
-        kept = self.quiet.ravel()[chosen]
-        self.means, self.variances = means[:, kept], variances[:, kept]
-        # Without dark frames the range of light counts: spots, as far as they are steady, are part of it.
-        self.wider = means[:, steady], variances[:, steady]
-        self.counts_each = int(kept.sum()) * len(chunks[0])
-        differences = [transfer.second_differences(chunk) for chunk in chunks]
-        differences = [d - d[:, self.quiet].mean(axis=1)[:, None, None] for d in differences]
-        stacked = np.concatenate(differences)
-        self.rows = rows.correlations(stacked, self.quiet, (1, -2, 1))
-        self.rows_everywhere = rows.correlations(stacked, lit, (1, -2, 1))
-
-
-def _measured(light: _Light, dark: Dark | None, assumed: Assumed, factor: float, notes: list[str]) -> Calibration:
+def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, notes: list[str]) -> Calibration:
     """Everything but the camera that is made of it."""
     read, dark_variance = _read_noise(dark, assumed)
     kernel, of_light = _kernel(light, dark, dark_variance, assumed)
     correction = 1 + 2 * float(np.sum(of_light))
-    lags = int(np.count_nonzero(of_light)) if assumed.readout_kernel is None else 0
-    doubt = 2 * np.sqrt(lags) * _kernel_sd(light, dark_variance) / max(correction, 0.05)
+    kernel_sd = light.kernel_sd(None if dark is None else dark.rows, dark_variance)
+    believed = kernel_sd[of_light != 0] if assumed.readout_kernel is None else np.zeros(0)
+    doubt = 2 * float(np.sqrt(np.sum(believed**2))) / max(correction, 0.05)
     law = Law(1.0, factor, 0.0, 0.0, _weights(kernel))
     fits: list[Fit] = [dark.fit] if dark is not None and dark.fit is not None else []
     known = dark is not None or assumed.baseline_adu is not None
     if known:
         base, level = _base(dark, assumed)
-        slope, curve = _slope(light, level, base.sd, dark_variance, read, correction, float(doubt))
+        slope, curve = _slope(light, level, base.sd, dark_variance, read, correction, doubt)
         charge = dark.charge if dark is not None else Value(assumed.clock_induced_charge_e or 0.0, float("nan"))
         law = replace(law, read_noise_adu=read.value, charge_e=float(np.nan_to_num(charge.value)))
     else:
         charge = UNKNOWN
         fitted = transfer.line(*light.wider, light.n_frames)
-        slope = transfer.mean_of([s * correction for s, _ in fitted], float(doubt), light.counts_each)
+        slope = transfer.mean_of([s * correction for s, _ in fitted], doubt, light.counts_each)
         base, curve = UNKNOWN, (np.empty(0), np.empty(0))
     law = replace(law, adu_per_electron=slope.value / factor)
     seen = histogram.of_light(light.chunks, light.quiet)
     excess = UNKNOWN
+    per_electron = slope.over(factor)
     if known and seen is not None:
         law = replace(law, adu_per_electron=slope.value / factor)
-        fits.append(histogram.fit("light", seen, law, ("adu_per_electron",), base.value))
+        beneath = base.value
+        if dark is not None and dark.stray is not None:
+            beneath = dark.stray.offset_adu.value
+            law = replace(law, read_noise_adu=dark.stray.read_noise_adu.value, charge_e=0.0)
+            notes.append(_stray_words(dark))
+        fit = histogram.fit("light", seen, law, ("adu_per_electron",), beneath)
         if factor > 1:
             start = replace(law, excess_noise_factor=1.8)
-            free = histogram.fit("light", seen, start, ("adu_per_electron", "excess_noise_factor"), base.value)
+            free = histogram.fit("light", seen, start, ("adu_per_electron", "excess_noise_factor"), beneath)
             excess = free.values["excess_noise_factor"] if _tells_shape(free) else UNKNOWN
+            told = assumed.excess_noise_factor is None and np.isfinite(excess.value)
+            if told and fit.p_value < REJECTED < free.p_value:
+                fit, per_electron = free, _either(slope, factor, excess)
+                notes.append(_excess_words(slope, factor, excess))
+        fits.append(fit)
     elif not known:
-        base, read, fit = _without_dark(light, fitted, seen, law, slope, assumed, notes)
-        fits += [] if fit is None else [fit]
+        base, read, darkest = _without_dark(light, fitted, seen, law, slope, assumed, notes)
+        fits += [] if darkest is None else [darkest]
         level = base.value - 0.5
         curve = transfer.curve(light.means.mean(axis=0) - level, light.variances.mean(axis=0) - read.value**2)
     readout = Readout(
         kernel=kernel,
         noise_kernel=_noise_kernel(dark, of_light, dark_variance, slope.value),
-        shares=() if assumed.readout_kernel is not None else rows.shares_of(of_light, _kernel_sd(light, dark_variance)),
+        shares=() if assumed.readout_kernel is not None else rows.shares_of(of_light, kernel_sd),
         row_correlations=light.rows.row,
         column_correlations=light.rows.column,
-        correlations_everywhere=light.rows_everywhere.row,
+        everywhere_row=_over_parts(light.everywhere.row, [part.row for part in light.everywhere_of_parts], light),
+        everywhere_column=_over_parts(
+            light.everywhere.column, [part.column for part in light.everywhere_of_parts], light
+        ),
         correlations_sd=light.rows.sd,
         dark_row_correlations=None if dark is None or dark.rows is None else dark.rows.row,
         alternation_adu=UNKNOWN if dark is None else dark.alternation,
         jitter_adu=UNKNOWN if dark is None else dark.jitter,
     )
     return Calibration(
-        baseline_adu=base, read_noise_adu=read, slope_adu=slope, adu_per_photoelectron=slope.over(factor),
+        baseline_adu=base, read_noise_adu=read, slope_adu=slope, adu_per_photoelectron=per_electron,
         excess_noise_factor=factor, excess_noise_measured=excess, clock_induced_charge_e=charge,
         tail_fraction=float("nan") if dark is None else dark.tail_share, readout=readout, fits=tuple(fits),
-        row_p_value=_row_p_value(light.rows, kernel, assumed), curve=curve, notes=notes,
+        row_p_value=_row_p_value(light, of_light, dark, dark_variance, assumed), curve=curve, notes=notes,
+        stray=None if dark is None else dark.stray,
     )  # fmt: skip
+
+
+def _over_parts(whole: Array, parts: list[Array], light: Light) -> tuple[Value, ...]:
+    """Correlations (lag,) of the whole movie with what its parts say of their error."""
+    sd = np.full(len(whole), light.everywhere.sd)
+    if len(parts) > 1:
+        sd = np.maximum(sd, np.std(parts, axis=0, ddof=1) / np.sqrt(len(parts)))
+    return tuple(Value(float(value), float(error)) for value, error in zip(whole, sd, strict=True))
+
+
+def _stray_words(dark: Dark) -> str:
+    assert dark.stray is not None
+    stray = dark.stray
+    return (
+        f"the dark frames are not quite dark: their histogram is that of {stray.electrons} electrons per pixel and "
+        f"frame, {stray.adu_per_electron} ADU each, above an offset of {stray.offset_adu} ADU with a read noise of "
+        f"{stray.read_noise_adu} ADU (stray light or dark current); baseline and read noise are told as the frames "
+        "have them, electrons included"
+    )
+
+
+def _either(slope: Value, factor: float, excess: Value) -> Value:
+    """ADU per photoelectron where the excess noise may be as assumed or as the histogram has it."""
+    one, other = slope.over(factor), slope.over(excess.value)
+    low = min(one.interval[0], slope.interval[0] / excess.interval[1])
+    high = max(one.interval[1], slope.interval[1] / excess.interval[0])
+    return Value(one.value, max(one.sd, abs(one.value - other.value) / 2), low, high)
+
+
+def _excess_words(slope: Value, factor: float, excess: Value) -> str:
+    low, high = excess.interval
+    return (
+        f"by the shape of the histograms F² is {excess.value:.3g} ({low:.3g} to {high:.3g}), not {factor:g}: a "
+        f"photoelectron then makes {slope.value / excess.value:.3g} ADU instead of {slope.value / factor:.3g}; the "
+        "interval holds both"
+    )
 
 
 def _tells_shape(fit: Fit) -> bool:
@@ -261,9 +289,7 @@ def _read_noise(dark: Dark | None, assumed: Assumed) -> tuple[Value, float]:
     return dark.read_noise, dark.variance
 
 
-def _kernel(
-    light: _Light, dark: Dark | None, dark_variance: float, assumed: Assumed
-) -> tuple[tuple[float, ...], Array]:
+def _kernel(light: Light, dark: Dark | None, dark_variance: float, assumed: Assumed) -> tuple[tuple[float, ...], Array]:
     """Shares of the pixels before, and the correlations (lag,) that they give to light."""
     if assumed.readout_kernel is not None:
         weights = np.array([1.0, *assumed.readout_kernel])
@@ -273,12 +299,6 @@ def _kernel(
         return assumed.readout_kernel, law
     found = rows.of_light(light.rows, None if dark is None else dark.rows, dark_variance)
     return rows.kernel_of(found), found
-
-
-def _kernel_sd(light: _Light, dark_variance: float) -> float:
-    """Standard error of the correlations that the read-out gives to light."""
-    total = light.rows.variance
-    return float(np.sqrt(2) * light.rows.sd * total / max(total - dark_variance, 1e-9))
 
 
 def _noise_kernel(dark: Dark | None, of_light: Array, dark_variance: float, slope: float) -> tuple[float, ...]:
@@ -299,16 +319,11 @@ def _base(dark: Dark | None, assumed: Assumed) -> tuple[Value, float]:
     if assumed.baseline_adu is not None:
         return Value(float(assumed.baseline_adu), float("nan")), float(assumed.baseline_adu) - 0.5
     assert dark is not None
-    return dark.baseline, float(dark.mean_map.mean()) if dark.fit is None else _dark_level(dark)
-
-
-def _dark_level(dark: Dark) -> float:
-    assert dark.fit is not None
-    return dark.baseline.value - 0.5 + dark.fit.law.charge_e * dark.fit.law.adu_per_electron
+    return dark.baseline, float(dark.mean_map.mean()) if dark.fit is None else dark.level
 
 
 def _slope(
-    light: _Light, level: float, level_sd: float, dark_variance: float, read: Value, correction: float, doubt: float
+    light: Light, level: float, level_sd: float, dark_variance: float, read: Value, correction: float, doubt: float
 ) -> tuple[Value, tuple[Array, Array]]:
     slopes = [
         correction * transfer.slope_through_origin(m - level, v - dark_variance)
@@ -324,7 +339,7 @@ def _slope(
 
 
 def _without_dark(
-    light: _Light, fitted: list[tuple[float, float]], seen: histogram.Histogram | None, law: Law, slope: Value,
+    light: Light, fitted: list[tuple[float, float]], seen: histogram.Histogram | None, law: Law, slope: Value,
     assumed: Assumed, notes: list[str],
 ) -> tuple[Value, Value, Fit | None]:  # fmt: skip
     """Baseline and read noise of a movie that is lit everywhere.
@@ -344,7 +359,7 @@ def _without_dark(
     else:
         start = replace(law, read_noise_adu=max(0.3 * law.adu_per_electron, 1.0))
         darkest = histogram.Histogram(
-            seen.level_adu[:2], seen.spread_adu[:2], seen.edges[:2], seen.seen[:2], seen.n_mean, seen.phases[:2]
+            seen.level_adu[:2], seen.offsets_adu[:2], seen.edges[:2], seen.seen[:2], seen.n_mean, seen.phases[:2]
         )
         fit = histogram.fit("light", darkest, start, ("adu_per_electron", "read_noise_adu"), zero + 0.5, raw_slope)
         read = fit.values["read_noise_adu"]
@@ -358,19 +373,19 @@ def _without_dark(
     return base, read, fit
 
 
-def _row_p_value(seen: rows.Correlations, kernel: tuple[float, ...], assumed: Assumed) -> float:
-    """Chance of the correlations along rows that the kernel does not explain."""
+def _row_p_value(light: Light, of_light: Array, dark: Dark | None, dark_variance: float, assumed: Assumed) -> float:
+    """Chance of the correlations along rows that neither the light's kernel nor the read noise explains; lags that the
+    kernel was measured on say nothing."""
     from scipy import stats
 
-    own = seen.row - seen.column
-    if assumed.readout_kernel is None:  # measured on them: what is left is what was not believed
-        left = own[len(seen.kernel) :]
-    else:
-        weights = np.array([1.0, *kernel])
-        law = np.zeros(rows.LAGS)
-        given = (np.correlate(weights, weights, "full")[len(weights) :] / np.sum(weights**2))[: rows.LAGS]
-        law[: len(given)] = given
-        left = own - law
-    if len(left) == 0:
+    seen = light.rows
+    expected, variance = of_light, np.full(rows.LAGS, 2 * seen.sd**2)
+    if dark is not None and dark.rows is not None:
+        share = min(dark_variance / seen.variance, 1.0)
+        expected = of_light * (1 - share) + (dark.rows.row - dark.rows.column) * share
+        variance += 2 * (share * dark.rows.sd) ** 2
+    tested = np.ones(rows.LAGS, dtype=bool) if assumed.readout_kernel is not None else of_light == 0
+    if not tested.any():
         return 1.0
-    return float(stats.chi2.sf(np.sum(left**2) / (2 * seen.sd**2), len(left)))
+    left = (seen.row - seen.column - expected) ** 2 / variance
+    return float(stats.chi2.sf(left[tested].sum(), int(tested.sum())))

@@ -12,8 +12,9 @@ from napari_mufasa.calibrate.value import Value
 from napari_mufasa.camera.readout import row_kernel
 
 Array = NDArray[np.float64]
-LAGS = 4
+LAGS = 8  # a read-out that rings does so over several pixels
 SURE = 3.5  # standard errors from which on a lag is believed
+CONTINUES = 2.5  # those from which on the lag after a believed one is: an undershoot dies out step by step
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Correlations:
     def kernel(self) -> Array:
         """What rows have of correlation and columns have not: the read-out's, (lag,), up to the last sure one."""
         own = self.row - self.column
-        sure = np.abs(own) > SURE * np.sqrt(2) * self.sd
+        sure = _sure(own, np.sqrt(2) * self.sd)
         n = int(np.max(np.nonzero(sure)[0], initial=-1)) + 1
         return own[:n]
 
@@ -81,19 +82,27 @@ def of_light(lit: Correlations, dark: Correlations | None, read_variance: float)
     own[:known] = dark.kernel
     light = max(lit.variance - read_variance, 1e-9)
     found = (found * lit.variance - own * read_variance) / light
-    unsure = np.abs(found) < SURE * np.sqrt(2) * lit.sd * lit.variance / light
-    unsure[: min(known, 1)] = False
-    found[unsure] = 0.0
+    sure = _sure(found, np.sqrt(2) * lit.sd * lit.variance / light)
+    sure[: min(known, 1)] = True
+    found[~sure] = 0.0
     return found
 
 
-def shares_of(correlations: Array, sd: float) -> tuple[Value, ...]:
-    """The shares of `kernel_of` with what the errors of the correlations, `sd` each, make of theirs."""
+def _sure(correlations: Array, sd: float) -> NDArray[np.bool_]:
+    """(lag,) which of them are believed."""
+    sure = np.abs(correlations) > SURE * sd
+    for lag in range(1, len(sure)):
+        sure[lag] |= sure[lag - 1] and abs(correlations[lag]) > CONTINUES * sd
+    return np.asarray(sure)
+
+
+def shares_of(correlations: Array, sd: Array) -> tuple[Value, ...]:
+    """The shares of `kernel_of` with what the errors of the correlations, `sd` (lag,), make of theirs."""
     centre = np.array(kernel_of(correlations))
     errors = np.zeros(len(centre))
     for lag in range(len(centre)):
         moved = correlations.copy()
-        moved[lag] += sd
+        moved[lag] += sd[lag]
         other = np.array(kernel_of(moved))
         errors[: len(other)] += (other[: len(centre)] - centre[: len(other)]) ** 2
     return tuple(Value(float(share), float(np.sqrt(error))) for share, error in zip(centre, errors, strict=True))

@@ -15,6 +15,9 @@ BINS = 30
 LARGE_PX = 1000  # pixels of a frame whose mean takes no noise of single ones along
 QUIET_PX = 15  # window of the background that spots are told from
 QUIET_SD = 3.0
+RUN = 8  # frames whose mean shows slow changes
+LEAST_RUNS = 5
+COURSE_SD = 4.0
 STEADY_SD = 6.0  # sample variances are skewed: a closer cut would take more from above than from below
 
 
@@ -65,6 +68,29 @@ def quiet_pixels(mean: Array) -> NDArray[np.bool_]:
     # A spot is broad: single pixels that stick out by chance or by pattern are no spots.
     spots = ndimage.uniform_filter(above, 3) > QUIET_SD / 2 * spread
     return np.asarray(~ndimage.binary_dilation(spots, iterations=2))
+
+
+def constant_pixels(chunks: Sequence[NDArray[np.float32]], variance: Array) -> NDArray[np.bool_]:
+    """(y, x) True where the light has the course of the whole field: no molecule came by or went out.
+
+    Means of `RUN` frames are compared with what noise of `variance` (y, x) leaves of them beside that course.
+    """
+    from scipy import ndimage
+
+    runs = [chunk[: len(chunk) // RUN * RUN] for chunk in chunks]
+    runs = [run.reshape(-1, RUN, *run.shape[1:]).mean(axis=1, dtype=np.float64) for run in runs if len(run)]
+    means = np.concatenate(runs) if runs else np.empty((0, *variance.shape))
+    if len(means) < LEAST_RUNS:
+        return np.ones(variance.shape, dtype=bool)
+    course = np.median(means, axis=(1, 2))
+    course -= course.mean()
+    about = means - means.mean(axis=0)
+    if np.any(course):
+        about -= course[:, None, None] * (np.einsum("f,fyx->yx", course, about) / np.sum(course**2))
+    beyond = np.mean(about**2, axis=0) * RUN / np.maximum(variance, 1e-9)
+    beyond = ndimage.uniform_filter(beyond, 3, mode="nearest")
+    middle = float(np.median(beyond))
+    return np.asarray(beyond < middle + COURSE_SD * 1.4826 * float(np.median(np.abs(beyond - middle))))
 
 
 def bins_of(mean: Array) -> list[NDArray[np.int64]]:

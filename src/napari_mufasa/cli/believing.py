@@ -199,7 +199,10 @@ def _rows(found: Calibration) -> list[tuple[str, str]]:
     rows = [(name, _measured(value)) for name, value in values.items()]
     rows += [(f"read-out, share of pixel x − {lag}", _measured(v)) for lag, v in enumerate(readout.shares, 1)]
     seen = {"row": readout.row_correlations, "column": readout.column_correlations}
-    seen |= {"row, spots included": readout.correlations_everywhere}
+    rows += [
+        (f"neighbours, {name}, molecules included", _measured(values[0]))
+        for name, values in (("row", readout.everywhere_row), ("column", readout.everywhere_column))
+    ]
     if readout.dark_row_correlations is not None:
         seen |= {"row, dark": readout.dark_row_correlations}
     return rows + [(f"neighbours, {name}", " ".join(f"{c:+.3f}" for c in row[:3])) for name, row in seen.items()]

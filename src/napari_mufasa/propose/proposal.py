@@ -99,6 +99,11 @@ def propose_model(
     lit = movie[first:] if first else movie
     seen = seen_in(lit, camera, dark, *_doubts(found), progress=progress, cancel=cancel)
     notes += seen.traces.notes
+    if seen.moved:
+        notes.append(
+            f"molecules move: in a few frames they are {seen.psf_sigma_px.value:.2f} px wide, in the mean of the movie "
+            f"{seen.traces.sigma_px:.2f} px; the former is taken"
+        )
     model = _model(camera, timing, seen, unknown)
     values = _values(found, seen, timing, model)
     return Proposal(model, values, unknown, tuple(notes), written, found)

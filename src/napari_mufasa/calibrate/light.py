@@ -1,0 +1,68 @@
+"""What is read off the lit frames of a movie before anything is assumed of the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_mufasa.calibrate import rows, transfer
+
+Array = NDArray[np.float64]
+
+
+class Light:
+    """Of chunks (frame, y, x) within `lit` (y, x): photon transfer, neighbours, and which pixels lie in no spot."""
+
+    def __init__(self, chunks: list[NDArray[np.float32]], lit: NDArray[np.bool_], n_frames: int) -> None:
+        self.chunks, self.n_frames = chunks, n_frames
+        means, variances = transfer.photon_transfer(chunks)
+        chosen = np.flatnonzero(lit.ravel())
+        means, variances = (a.reshape(len(a), -1)[:, chosen] for a in (means, variances))
+        steady = transfer.steady_pixels(means, variances)
+        mean = np.mean([chunk.mean(axis=0, dtype=np.float64) for chunk in chunks], axis=0)
+        still = np.zeros(lit.shape, dtype=bool)
+        still.ravel()[chosen[steady]] = True
+        variance = np.zeros(lit.shape)
+        variance.ravel()[chosen] = variances.mean(axis=0)
+        quiet = still & transfer.quiet_pixels(mean) & transfer.constant_pixels(chunks, variance)
+        self.quiet = quiet if quiet.sum() > max(9, 0.02 * quiet.size) else still
+        kept = self.quiet.ravel()[chosen]
+        self.means, self.variances = means[:, kept], variances[:, kept]
+        # Without dark frames the range of light counts: spots, as far as they are steady, are part of it.
+        self.wider = means[:, steady], variances[:, steady]
+        self.counts_each = int(kept.sum()) * len(chunks[0])
+        differences = [transfer.second_differences(chunk) for chunk in chunks]
+        differences = [d - d[:, self.quiet].mean(axis=1)[:, None, None] for d in differences]
+        stacked = np.concatenate(differences)
+        self.rows = rows.correlations(stacked, self.quiet, (1, -2, 1))
+        self.rows_of_parts = [rows.correlations(d, self.quiet, (1, -2, 1)) for d in differences]
+        dim = mean < np.median(mean[self.quiet])
+        halves = [self.quiet & dim, self.quiet & ~dim]
+        self.rows_of_halves = [rows.correlations(stacked, half, (1, -2, 1)) for half in halves if half.any()]
+        # As the movie has it, molecules included: differences of frames one after the other.
+        firsts = [np.diff(chunk, axis=0) for chunk in chunks]
+        firsts = [d - d[:, lit].mean(axis=1)[:, None, None] for d in firsts]
+        self.everywhere = rows.correlations(np.concatenate(firsts), lit, (1, -1))
+        self.everywhere_of_parts = [rows.correlations(d, lit, (1, -1)) for d in firsts]
+
+    def kernel_sd(self, dark: rows.Correlations | None, dark_variance: float) -> Array:
+        """Standard errors (lag,) of the correlations that the read-out gives to light: by the number of counts, and by
+        what parts of the movie, and its dim and its bright pixels, disagree beyond that."""
+        total = self.rows.variance
+        counted = float(np.sqrt(2) * self.rows.sd * total / max(total - dark_variance, 1e-9))
+        parts = _of_light(self.rows_of_parts, dark, dark_variance)
+        course = parts.var(axis=0, ddof=1) / len(parts) if len(parts) > 1 else np.zeros(rows.LAGS)
+        halves = _of_light(self.rows_of_halves, dark, dark_variance)
+        level = (halves[1] - halves[0]) ** 2 / 4 if len(halves) == 2 else np.zeros(rows.LAGS)
+        return np.asarray(np.sqrt(np.maximum(course, counted**2) + np.maximum(level - counted**2, 0.0)))
+
+
+def _of_light(seen: list[rows.Correlations], dark: rows.Correlations | None, dark_variance: float) -> Array:
+    """(part, lag) correlations that the read-out gives to light, in each part of what was seen."""
+    own = np.zeros(rows.LAGS) if dark is None else np.resize(dark.row - dark.column, rows.LAGS)
+    found = []
+    for part in seen:
+        read = 0.0 if dark is None else dark_variance
+        if part.variance > 1.2 * read:
+            found.append(((part.row - part.column) * part.variance - own * read) / (part.variance - read))
+    return np.reshape(found, (len(found), rows.LAGS))
