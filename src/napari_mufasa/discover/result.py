@@ -143,8 +143,8 @@ class Report:
             "credibility": self.credibility,
             "remaining": self.remaining,
             "simulations": self.simulations,
+            "check": self.check,
             **({"w1": self.w1} if self.w1 else {}),
-            **({"check": self.check} if self.check else {}),
         }
 
     def to_json(self, path: str) -> None:
