@@ -109,7 +109,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
         leads = apart or leads
         dropped: set[str] = set()
-        if known and not apart and (inquiry.deepen() or inquiry.exchange(rivals=not leads)):
+        if known and not apart and (inquiry.deepen() or inquiry.exchange([cases[0] for cases in leads])):
             pass
         elif leads and inquiry.affords(len(leads)):
             dropped = inquiry.take_up(leads)

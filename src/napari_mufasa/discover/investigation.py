@@ -188,14 +188,17 @@ class Investigation(Standing):
                 at_once = False
         return dropped
 
-    def exchange(self, rivals: bool = True) -> bool:
-        """Try other forms, and `rivals`, in the place of each effect; keep the first that explains more. What could not
-        be told from an effect is noted with its worth."""
+    def exchange(self, leads: Sequence[Case] = ()) -> bool:
+        """Try other forms, and rivals, in the place of each effect; keep the first that explains more. What could not
+        be told from an effect is noted with its worth. While there are `leads`, only other forms of the effects that
+        move what those do."""
         for kind in self.stand.added:
             stand = self.stand
             if not self.affords(1):
                 return False
-            tries = self._begun_without(kind, stand.rivals_of(kind, RIVAL)[:RIVALS] if rivals else ())
+            if leads and not any(stand.moves_alike(case[0], kind) for case in leads):
+                continue
+            tries = self._begun_without(kind, () if leads else stand.rivals_of(kind, RIVAL)[:RIVALS])
             effect = next(e for e in stand.state.model.effects if e.kind == kind)
             if not stand.content and (others := [e for e in _each_form(effect) if e.chosen != effect.chosen]):
                 tries.append(begun(stand.library, stand.without(kind), others, stand.x))

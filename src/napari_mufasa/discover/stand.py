@@ -165,6 +165,10 @@ class Stand:
         explained, left = self.first.misfit(self.x) - self.misfit, self.misfit - float(self.null.misfit.law.median())
         return lead.gain > FORM_FIRST * max(shared * explained, left)
 
+    def moves_alike(self, lead: Lead, kind: str) -> bool:
+        """Does an added effect move what the lead moves, as far?"""
+        return _shared(lead.shift, self.state.mean - self.without(kind).mean, self.state.spread) > ALIKE
+
     def rivals_of(self, kind: str, share: float) -> list[Case]:
         """What promises more than a share of what an added effect is worth, in its place; best first."""
         worth = self.worths[kind]
