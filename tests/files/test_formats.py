@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from napari_mufasa.cli import main
 from napari_mufasa.files import formats
 from napari_mufasa.files.instrument import Instrument, _take, read_instrument
 from napari_mufasa.files.layers import get_reader, instrument_of, movie_layer
+from napari_mufasa.files.zeiss import check_czi
 from napari_mufasa.propose.written import as_written, values_written
 
 MOVIE = np.random.default_rng(3).integers(1, 200, (9, 16, 24))
@@ -162,6 +164,28 @@ def test_a_nikon_file_that_claims_absurdly_many_components_takes_no_memory(tmp_p
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20e6
+
+
+@pytest.mark.parametrize(
+    ("of", "at", "kind", "value"),
+    [
+        (b"ZISRAWDIRECTORY", 32 + 128 + 32 + 8, "<i", -2), (b"ZISRAWDIRECTORY", 32 + 128 + 28, "<i", 10**6),
+        (b"ZISRAWDIRECTORY", 32, "<i", 2**30), (b"ZISRAWDIRECTORY", 32 + 128 + 6, "<q", 2**50),
+        (b"ZISRAWDIRECTORY", 24, "<q", -2), (b"ZISRAWMETADATA", 32, "<i", 2**30), (b"ZISRAWMETADATA", 32, "<i", -5),
+        (b"ZISRAWSUBBLOCK", 32 + 8, "<q", 2**40), (b"ZISRAWSUBBLOCK", 32, "<i", -1),
+    ],
+)  # fmt: skip
+def test_a_zeiss_file_that_leads_outside_is_refused_before_its_library_follows(tmp_path, of, at, kind, value):
+    """The library ends the process at the first of these."""
+    path = write_czi(tmp_path / "m.czi", MOVIE)
+    check_czi(path)
+    content = bytearray(path.read_bytes())
+    struct.pack_into(kind, content, content.index(of) + at, value)
+    path.write_bytes(content)
+    with pytest.raises(MufasaError, match=r"m\.czi is no .*copy it anew"):
+        check_czi(path)
+    with pytest.raises(MufasaError):
+        files.read_movie(path)
 
 
 def test_a_leica_text_that_names_other_files_opens_none(tmp_path):

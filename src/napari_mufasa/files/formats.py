@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.zeiss import check_czi
 
 Read = Callable[[int], NDArray[Any]]
 CHUNK_BYTES = 2**22
@@ -187,6 +188,7 @@ class _EndsInWords(io.BufferedReader):
 # Zeiss ----------------------------------------------------------------------------------------------------
 def _czi(path: Path) -> Opened:
     czi = _library("pylibCZIrw.czi", "pylibCZIrw")
+    check_czi(path)
     kinds = {"Gray8": np.uint8, "Gray16": np.uint16, "Gray32Float": np.float32}
 
     @contextmanager
