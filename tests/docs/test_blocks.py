@@ -69,9 +69,7 @@ def recorded(tmp_path_factory):
     for name in ("movie.tif", "smfret_ixon_emccd.tif", "movies/first/1.tif", "movies/second/1.tif"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         movie = movies["second" in name]
-        tifffile.imwrite(
-            folder / name, movie[:40, :40, :40] if "/" in name else movie, metadata={"axes": "TYX"}
-        )
+        tifffile.imwrite(folder / name, movie[:40, :40, :40] if "/" in name else movie, metadata={"axes": "TYX"})
     tifffile.imwrite(folder / "dark.tif", nm.simulate_dark(model, 40, seed=3), metadata={"axes": "TYX"})
     (folder / "list.csv").write_text("movie,condition\nmovies/first/1.tif,first\nmovies/second/1.tif,second\n")
     model.to_json(folder / "model.json")
