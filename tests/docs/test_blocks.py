@@ -27,7 +27,7 @@ from napari_mufasa.files.traces import write_trace_file
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 RUN = {"python", "bash"}
 SUSPECTS = ["photobleaching", "stage_drift"]
-CORNER = 40  # px
+CORNER = 64  # px
 LARGE = 10**6  # pixels × frames: movies beyond are simulated smaller
 #: Words of a shell that the blocks use; any other command is marked with the reason why it is not run.
 COMMANDS = ("napari-mufasa", "python")
@@ -69,9 +69,7 @@ def recorded(tmp_path_factory):
     for name in ("movie.tif", "smfret_ixon_emccd.tif", "movies/first/1.tif", "movies/second/1.tif"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         movie = movies["second" in name]
-        tifffile.imwrite(
-            folder / name, movie[:40, :CORNER, :CORNER] if "/" in name else movie, metadata={"axes": "TYX"}
-        )
+        tifffile.imwrite(folder / name, movie[:40, :40, :40] if "/" in name else movie, metadata={"axes": "TYX"})
     tifffile.imwrite(folder / "dark.tif", nm.simulate_dark(model, 40, seed=3), metadata={"axes": "TYX"})
     (folder / "list.csv").write_text("movie,condition\nmovies/first/1.tif,first\nmovies/second/1.tif,second\n")
     model.to_json(folder / "model.json")
@@ -148,4 +146,4 @@ def smaller(arguments: list[str]) -> list[str]:
     height, width = made.acquisition.shape_px
     if made.acquisition.n_frames * height * width <= LARGE:
         return arguments
-    return [*arguments, "--frames", "40", "--shape", "48", "48"]
+    return [*arguments, "--frames", "60", "--shape", "64", "64", "--n-molecules", "14"]
