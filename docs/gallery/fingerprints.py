@@ -10,7 +10,6 @@ effect).
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,4 +117,4 @@ def draw(path, title: str, first: Pair, z: np.ndarray, seen: Observation) -> Non
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
