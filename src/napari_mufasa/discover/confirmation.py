@@ -115,6 +115,7 @@ def confirm(
     """
     checks.need(here, Report, "report", "give what diagnose(…) returned")
     steering: dict[str, Any] = {"progress": progress, "cancel": cancel}
+    movie = checks.stack(movie)
     there = diagnose(movie, model, dark, seed=seed, effects=effects, budget=budget, **steering)
     completed = here.model.in_shape(n_frames=movie.shape[0], shape_px=tuple(movie.shape[1:]), maps=model.camera)
     carried, floor = _carried(completed, movie, dark, here.chosen, seed, progress, cancel)

@@ -1,8 +1,8 @@
 """Simulated neighbourhoods: where a model stands, what its free values do, what each effect would do.
 
 An effect enters as rays: simulations at a few strengths, shapes and forms, each minus the base simulation
-of the same seed. Along a ray the shift grows with strength. A ray that explains the residual is a lead; the
-fit (`fit.fit_effect`) decides.
+of the same seed. Along a ray the shift grows with strength. A ray that explains the residual is a lead;
+simulations (`start`, `joint`) decide.
 """
 
 from __future__ import annotations
