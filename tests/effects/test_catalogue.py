@@ -18,13 +18,14 @@ CONTRACT = {
     "photophysics": "triplet_blinking long_dark_state photobleaching delayed_activation brightness_heterogeneity "
     "multiple_emitters level_switching dim_population brightness_wander",
     "illumination": "illumination_profile laser_drift laser_flicker periodic_modulation",
-    "sample motion": "stage_drift focus_drift molecule_diffusion binding",
+    "sample motion": "stage_drift focus_drift molecule_diffusion binding directed_motion",
     "optics and background": "astigmatism background_gradient background_decay background_as_measured psf_halo",
     "camera": "em_excess_noise clock_induced_charge pixel_gain_variation column_offset row_noise hot_pixels "
     "detector_saturation image_lag baseline_drift cosmic_rays serial_readout frame_baseline converter_codes",
 }
 NEW = {
-    "level_switching", "dim_population", "brightness_wander", "binding", "background_as_measured", "psf_halo",
+    "level_switching", "dim_population", "brightness_wander", "binding", "directed_motion",
+    "background_as_measured", "psf_halo",
     "serial_readout", "frame_baseline", "converter_codes",
 }  # fmt: skip
 STRONG = {  # what it takes to be seen within a short movie: rare events, measurements
@@ -129,7 +130,7 @@ def test_new_effects_run_with_both_engines_in_blocks_and_in_the_dark(kind, camer
 
 def test_the_order_of_effects_that_add_or_follow_molecules_does_not_matter():
     chosen = [
-        effect(k) for k in ("binding", "molecule_diffusion", "dim_population", "brightness_wander", "stage_drift")
+        effect(k) for k in ("binding", "molecule_diffusion", "directed_motion", "dim_population", "brightness_wander", "stage_drift")
     ]
     one, two = (simulate(plain(n_frames=8).with_effects(*order), seed=2) for order in (chosen, chosen[::-1]))
     np.testing.assert_array_equal(one.movie, two.movie)

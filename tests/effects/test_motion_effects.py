@@ -110,6 +110,43 @@ def test_diffusion_reaches_the_image():
     np.testing.assert_allclose(centroids, 30 + path, atol=2e-2)
 
 
+# Molecules that glide -----------------------------------------------------------------------------------------
+
+
+def gliding(form, n=4000, **values):
+    added = effect("directed_motion", speed_px_per_frame=0.2, axis_deg=30.0, form=form, **values)
+    return scene_of(plain(n_frames=101).with_effects(added), np.zeros((n, 2)), 1).walk_px.astype(float)
+
+
+@pytest.mark.parametrize("form", ["one_way", "both_ways", "any_direction"])
+def test_gliding_molecules_keep_a_velocity_of_their_own(form):
+    """Speeds of those that move: gamma, mean v, sd v/2; displacements grow in proportion to time."""
+    n, share = 4000, 0.7
+    path = gliding(form, n, moving=share)
+    np.testing.assert_allclose(path[100], 2 * path[50], atol=1e-4)
+    speed = np.hypot(*path[100].T) / 100
+    moving = speed > 0
+    assert moving.mean() == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / n))
+    assert stats.kstest(speed[moving], stats.gamma(4, scale=0.05).cdf).pvalue > 1e-4
+    along, across = np.sin(np.deg2rad([30, 120])), np.cos(np.deg2rad([30, 120]))
+    forth, aside = (path[100][moving] @ np.stack([along, across])).T
+    back = np.mean(forth < 0)
+    if form == "any_direction":
+        angle = np.arctan2(*path[100][moving].T)
+        assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-4
+    else:
+        np.testing.assert_allclose(aside, 0, atol=1e-4)
+        assert back == (0 if form == "one_way" else pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(moving.sum())))
+
+
+def test_gliding_adds_to_diffusion():
+    both = [effect("directed_motion", moving=1.0), effect("molecule_diffusion", diffusion_px2_per_frame=0.04)]
+    scene = scene_of(plain(n_frames=101).with_effects(*both), np.zeros((400, 2)), 1)
+    forth, aside = scene.walk_px[100].astype(float).T  # axis 90°: along y
+    assert forth.mean() == pytest.approx(5.0, abs=4 * np.sqrt((2.5**2 + 8) / 400))
+    assert aside.var() == pytest.approx(8.0, rel=4 * np.sqrt(2 / 400))
+
+
 # Molecules that bind and leave --------------------------------------------------------------------------------
 
 

@@ -92,20 +92,30 @@ def descended(library: Library, state: State, model: Model, x: Array, most: int)
     before = library.bench.done
     here = _seen(library, state, model)
     for _ in range(DESCENTS):
+        while (there := _closer(library, here, x)) is not None:
+            here = there
         if library.bench.done - before + SLOPE_SEEDS * len(here.free) > most:
             break
         steps = free_steps(here.model, here.values, here.free)
-        slopes = derivatives(library.simulated, here.model_at, steps, here.check)
-        moves = replace(here, slopes=slopes).adjusted(x).moves
-        for share in SHARES:
-            there = _seen(library, here, here.model_at(share * moves))
-            closer = _unmoved(there, x) < NEARER * _unmoved(here, x)
-            if closer:
-                break
-        if not closer:
+        here = replace(here, slopes=derivatives(library.simulated, here.model_at, steps, here.check))
+        if (there := _closer(library, here, x)) is None:
             break
-        here = replace(there, slopes=slopes)
+        here = there
     return here
+
+
+def _closer(library: Library, here: State, x: Array) -> State | None:
+    """The state one step downhill, where simulations confirm that it is nearer to x; its slopes are those that the
+    step has shown (Broyden, Math. Comput. 19, 577, 1965), steps measured in prior widths."""
+    moves = here.adjusted(x).moves
+    for share in SHARES:
+        step = share * moves
+        there = _seen(library, here, here.model_at(step))
+        if _unmoved(there, x) < NEARER * _unmoved(here, x):
+            direction = step / here.prior**2 / np.sum((step / here.prior) ** 2)
+            surplus = there.mean - here.mean - here.slopes @ step
+            return replace(there, slopes=here.slopes + surplus[..., None] * direction)
+    return None
 
 
 def removed(library: Library, *kinds: str) -> State:

@@ -195,4 +195,5 @@ READERS: dict[str, Reader] = {
     "stage_drift": common_path,
     "focus_drift": width_course,
     "astigmatism": long_axis,
+    "directed_motion": long_axis,
 }

@@ -12,6 +12,7 @@ from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.simulate.scene import Scene
 
 STAGE = "sample motion"
+SHAPE = 4  # of the speeds' gamma distribution
 
 
 class StageDrift(Effect):
@@ -95,7 +96,7 @@ class MoleculeDiffusion(Effect):
     what_it_does = "Each spot wanders in its own direction and leaves its place."
     how_to_check = "Track single spots; fix the sample as control."
     observables = ("individual_shift", "spot_width", "ensemble", "first_seen")
-    rivals = ("stage_drift", "delayed_activation", "triplet_blinking")
+    rivals = ("stage_drift", "directed_motion", "delayed_activation", "triplet_blinking")
     separated_by = "the mean square displacement that molecules do not share"
 
     diffusion_px2_per_frame: float = parameter(
@@ -167,4 +168,47 @@ class Binding(Effect):
         scene.light_each((np.maximum(bound_s, 0.0) / timing.frame_length_s).astype(np.float32))
 
 
-EFFECTS = (StageDrift, FocusDrift, MoleculeDiffusion, Binding)
+class DirectedMotion(Effect):
+    """Each molecule at a speed of its own, gamma distributed with half its mean as spread: motors and polymerases on
+    tracks that lie alike (one or both ways), or on tracks of all directions."""
+
+    kind = "directed_motion"
+    stage = STAGE
+    strength = "speed_px_per_frame"
+    common = False
+    title = "Molecules that glide"
+    what_it_is = "Molecules are carried along tracks: motors on filaments, polymerases on stretched DNA, flow."
+    what_it_does = "Spots leave their places in straight lines, each at its own speed; some stay."
+    how_to_check = "Follow single molecules: displacements grow in proportion to time; take away the fuel."
+    observables = ("individual_shift", "spot_elongation", "first_seen", "survival", "ensemble")
+    rivals = ("molecule_diffusion", "stage_drift", "delayed_activation", "binding")
+    separated_by = "squared displacements that grow with the square of time, along one axis, unlike from spot to spot"
+
+    speed_px_per_frame: float = parameter(
+        0.05, ge=0, plausible=(0.002, 0.8), follows="/frames", unit="px/frame", log=True,
+        description="mean speed of those that move",
+    )  # fmt: skip
+    moving: float = parameter(0.8, ge=0, le=1, plausible=(0.2, 1), unit="", description="share of molecules that move")
+    axis_deg: float = parameter(
+        90.0, plausible=(0, 180), unit="deg", description="direction; 0 along x, 90 along y",
+        forms=("one_way", "both_ways"),
+    )  # fmt: skip
+    form: Literal["one_way", "both_ways", "any_direction"] = "one_way"
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        n = len(scene.positions_px)
+        if self.speed_px_per_frame == 0 or n == 0:
+            return
+        speed = self.speed_px_per_frame * rng.gamma(SHAPE, 1 / SHAPE, n) * (rng.random(n) < self.moving)
+        turn = rng.random(n)
+        angle = np.full(n, np.deg2rad(self.axis_deg))
+        if self.form == "both_ways":
+            angle += np.pi * (turn < 0.5)
+        elif self.form == "any_direction":
+            angle = 2 * np.pi * turn
+        velocity = speed[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        walk = (np.arange(scene.n_frames)[:, None, None] * velocity).astype(np.float32)
+        scene.walk_px = walk if scene.walk_px is None else scene.walk_px + walk
+
+
+EFFECTS = (StageDrift, FocusDrift, MoleculeDiffusion, Binding, DirectedMotion)
