@@ -130,7 +130,15 @@ def test_new_effects_run_with_both_engines_in_blocks_and_in_the_dark(kind, camer
 
 def test_the_order_of_effects_that_add_or_follow_molecules_does_not_matter():
     chosen = [
-        effect(k) for k in ("binding", "molecule_diffusion", "directed_motion", "dim_population", "brightness_wander", "stage_drift")
+        effect(k)
+        for k in (
+            "binding",
+            "molecule_diffusion",
+            "directed_motion",
+            "dim_population",
+            "brightness_wander",
+            "stage_drift",
+        )
     ]
     one, two = (simulate(plain(n_frames=8).with_effects(*order), seed=2) for order in (chosen, chosen[::-1]))
     np.testing.assert_array_equal(one.movie, two.movie)

@@ -20,7 +20,7 @@ from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
-from napari_mufasa.discover.rules import FAR, FAR_LESS, NEAR, RIVAL, RIVALS
+from napari_mufasa.discover.rules import CLEAR, FAR, FAR_LESS, NEAR, RIVAL, RIVALS
 from napari_mufasa.discover.stand import Case, Stand, Worth
 from napari_mufasa.discover.standing import Standing, share_of
 from napari_mufasa.discover.start import SIMULATIONS, begun, started
@@ -175,11 +175,8 @@ class Investigation(Standing):
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
             far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
             kinds = far_less if at_once and 0 < len(far_less) < len(stand.added) else order[:1]
-            self.remove(*kinds)
-            lesser = self.stands.pop()
-            evidence = max(lesser.state.score(stand.x) - stand.state.score(stand.x), 0.0)
-            worth = Worth(evidence, lesser.error, sum(doubtful[k].needed for k in kinds))
-            if not stand.is_worth(worth):
+            worth, lesser = self._lesser(kinds, sum(doubtful[k].needed for k in kinds))
+            if lesser is not None:
                 self.stands[-1] = lesser
                 dropped |= set(kinds)
             elif len(kinds) == 1:
@@ -187,6 +184,21 @@ class Investigation(Standing):
             else:  # they stand in for one another
                 at_once = False
         return dropped
+
+    def _lesser(self, kinds: Sequence[str], needed: float) -> tuple[Worth, Stand | None]:
+        """What effects are worth by a whole fit without them, and the stand without them where that is too little. Its
+        neighbourhood is simulated where a few simulations leave that in doubt."""
+        stand, x = self.stand, self.stand.x
+        self.bench.plan(joint.REMOVALS + self._settling(0))
+        there = joint.brought(stand.library, joint.removed(stand.library, *kinds), x, self.kinds, self.left)
+        worth = Worth(there.misfit(x) - stand.misfit, there.held_out_error(x), needed)
+        if worth.evidence > CLEAR * needed and stand.is_worth(worth):
+            return worth, None
+        self._stand_at(joint.seen_from(stand.library, there.model, x, self.kinds))
+        lesser = self.stands.pop()
+        evidence = max(lesser.state.score(x) - stand.state.score(x), 0.0)
+        worth = Worth(evidence, lesser.error, needed)
+        return worth, None if stand.is_worth(worth) else lesser
 
     def exchange(self, leads: Sequence[Case] = ()) -> bool:
         """Try other forms, and rivals, in the place of each effect; keep the first that explains more. What could not

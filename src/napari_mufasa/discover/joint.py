@@ -25,6 +25,7 @@ from napari_mufasa.model.model import Model
 Array = NDArray[np.float64]
 TRIALS = 4  # simulations that tell which of two models is nearer
 SHARES = (1.0, 0.5, 0.25)  # how much of a step downhill is tried
+STEP = TRIALS * len(SHARES)  # simulations of a step at most
 NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
 REMOVALS = 6  # simulations of a model without one of its effects
 
@@ -37,15 +38,21 @@ def settled(
     observable) together; rays are those of `kinds` that it lacks. None where the misfit there is not `below` what it
     should be. Effects `on_trial` that come to next to none go from the model. About `most` simulations are spent, at
     least those of the neighbourhood."""
-    model = state.model_at(state.adjusted(x).moves)
-    if state.far_off(x):
-        model = nearer(library, state, model, x)
-    there = descended(library, state, model, x, most - _around(state.free, model, kinds))
+    there = brought(library, state, x, kinds, most)
     if not there.misfit(x) < below:
         return None
     model = there.model
     stay = [e for e in model.effects if e.kind not in on_trial or not is_next_to_none(e, model)]
-    return _seen_from(library, model.model_copy(update={"effects": tuple(stay)}), x, kinds)
+    return seen_from(library, model.model_copy(update={"effects": tuple(stay)}), x, kinds)
+
+
+def brought(library: Library, state: State, x: Array, kinds: Sequence[str], most: int) -> State:
+    """The state once all its free values are brought to the measurement x together, seen by a few simulations; of
+    `most` those of a neighbourhood are left."""
+    model = state.model_at(state.adjusted(x).moves)
+    if state.far_off(x):
+        model = nearer(library, state, model, x)
+    return descended(library, state, model, x, most - _around(state.free, model, kinds))
 
 
 def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Library | None:
@@ -53,10 +60,10 @@ def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Lib
     Of simulations about `most` are spent."""
     here = library.base
     there = descended(library, here, here.model, x, most - _around(here.free, here.model, kinds))
-    return _seen_from(library, there.model, x, kinds) if there.misfit(x) < NEARER * here.misfit(x) else None
+    return seen_from(library, there.model, x, kinds) if there.misfit(x) < NEARER * here.misfit(x) else None
 
 
-def _seen_from(library: Library, model: Model, x: Array, kinds: Sequence[str]) -> Library:
+def seen_from(library: Library, model: Model, x: Array, kinds: Sequence[str]) -> Library:
     """The neighbourhood of a model further on, its effects of `kinds` free, rays of those that it lacks."""
     added = [effect.kind for effect in model.effects if effect.kind in kinds]
     others = [kind for kind in kinds if kind not in added]
@@ -71,7 +78,7 @@ def _around(free: Sequence[str], model: Model, kinds: Sequence[str]) -> int:
 
 def settling_simulations(library: Library, kinds: Sequence[str], n_free: int, model: Model) -> int:
     """How many simulations `settled` makes at most, `kinds` lacking."""
-    step = SLOPE_SEEDS * n_free + TRIALS * len(SHARES)
+    step = SLOPE_SEEDS * n_free + 2 * STEP
     again = library.bench.matching_simulations + 2 * TRIALS
     return again + TRIALS + DESCENTS * step + neighbourhood.expected_simulations(kinds, n_free, model)
 
@@ -89,12 +96,12 @@ def nearer(library: Library, state: State, model: Model, x: Array) -> Model:
 def descended(library: Library, state: State, model: Model, x: Array, most: int) -> State:
     """Where the state's model gets, its free values moved downhill towards the measurement x, derivatives taken anew at
     every step, as far as simulations of where the step leads confirm it; of simulations about `most` are spent."""
-    before = library.bench.done
+    most += library.bench.done
     here = _seen(library, state, model)
     for _ in range(DESCENTS):
-        while (there := _closer(library, here, x)) is not None:
+        while library.bench.done + STEP <= most and (there := _closer(library, here, x)) is not None:
             here = there
-        if library.bench.done - before + SLOPE_SEEDS * len(here.free) > most:
+        if library.bench.done + SLOPE_SEEDS * len(here.free) + STEP > most:
             break
         steps = free_steps(here.model, here.values, here.free)
         here = replace(here, slopes=derivatives(library.simulated, here.model_at, steps, here.check))

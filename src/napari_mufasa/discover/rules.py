@@ -31,6 +31,7 @@ ALIKE = 0.5  # of what two effects move: so much the same, and one may stand in 
 SHAPE = 0.015  # of the evidence of all others: an effect that moves what they moved must be worth so much more, for
 # what they leave is also the error of their form
 FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less are taken out together
+CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an effect is worth so much, is worth it
 
 # The budget of simulations ----------------------------------------------------------------------------------
 BUDGET = 4_000  # simulations of a movie of ordinary size …
