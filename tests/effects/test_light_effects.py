@@ -110,6 +110,21 @@ def test_white_flicker_is_white_and_pink_falls_as_one_over_f():
         assert np.polyfit(np.log(frequency), np.log(power), 1)[0] == pytest.approx(slope, abs=4 * error)
 
 
+@pytest.mark.parametrize("frames", [0.8, 3.0, 10.0])
+def test_relaxing_flicker_forgets_itself_exponentially(frames):
+    """Uhlenbeck and Ornstein: unit variance from the first frame on, correlation exp(−lag/τ)."""
+    added = effect("laser_flicker", rms=0.1, form="relaxing", correlation_frames=frames)
+    light = scene_of(plain(n_frames=20_000).with_effects(added), seed=2).light / 0.1 - 10
+    kept = np.exp(-1 / frames)
+    effective = 20_000 * (1 - kept**2) / (1 + kept**2)  # independent values that the variance is as sure as
+    assert light.var() == pytest.approx(1, abs=4 * np.sqrt(2 / effective))
+    for lag in (1, 3):
+        seen = np.mean(light[lag:] * light[:-lag])
+        assert seen == pytest.approx(kept**lag, abs=4 * np.sqrt(2 / effective))
+    starts = [scene_of(plain(n_frames=2).with_effects(added), seed=k).light[0] / 0.1 - 10 for k in range(400)]
+    assert np.var(starts) == pytest.approx(1, abs=4 * np.sqrt(2 / 400))
+
+
 def test_flicker_is_common_to_molecules_and_background():
     model = plain(n_frames=200, shape=(8, 8)).with_effects(effect("laser_flicker", rms=0.2))
     result = simulate(model, np.full((400, 2), 3.0), seed=3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from scipy import signal
 
 from napari_mufasa.effects.courses import drifted, seen_path, step_length, step_time
 from napari_mufasa.effects.fields import bright_side, relief, seen_values, value_columns
@@ -129,10 +130,18 @@ class LaserFlicker(Effect):
     rms: float = parameter(
         0.05, ge=0, le=1, plausible=(0.005, 0.2), unit="", log=True, description="relative rms of the light"
     )
-    form: Literal["white", "pink"] = "white"
+    correlation_frames: float = parameter(
+        3.0, gt=0, plausible=(0.7, 12), unit="frames", log=True, description="time within which it forgets itself",
+        forms=("relaxing",),
+    )  # fmt: skip
+    form: Literal["white", "pink", "relaxing"] = "white"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         noise = rng.standard_normal(scene.n_frames)
+        if self.form == "relaxing":  # Uhlenbeck and Ornstein, Phys. Rev. 36, 823 (1930): begins as it goes on
+            kept = np.exp(-1 / self.correlation_frames)
+            noise[1:] *= np.sqrt(1 - kept**2)
+            noise = signal.lfilter([1.0], [1.0, -kept], noise)
         if self.form == "pink":
             spectrum = np.fft.rfft(noise)
             frequency = np.maximum(np.fft.rfftfreq(scene.n_frames), 1.0 / scene.n_frames)
