@@ -24,6 +24,7 @@ from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
 TRIALS = 4  # simulations that tell which of two models is nearer
+UNSEEN = range(TRIALS, 4 * TRIALS)  # those that confirm where a way downhill has led
 SHARES = (1.0, 0.5, 0.25)  # how much of a step downhill is tried
 STEP = TRIALS * len(SHARES)  # simulations of a step at most
 NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
@@ -56,11 +57,13 @@ def brought(library: Library, state: State, x: Array, kinds: Sequence[str], most
 
 
 def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Library | None:
-    """The neighbourhood of the library's model with its free values further downhill; None where no step leads there.
-    Of simulations about `most` are spent."""
+    """The neighbourhood of the library's model with its free values further downhill; None where no step leads there,
+    as simulations that have not shown the way confirm. Of simulations about `most` are spent."""
     here = library.base
     there = descended(library, here, here.model, x, most - _around(here.free, here.model, kinds))
-    return seen_from(library, there.model, x, kinds) if there.misfit(x) < NEARER * here.misfit(x) else None
+    if there.model is here.model or not _seen(library, there, there.model, UNSEEN).misfit(x) < NEARER * here.misfit(x):
+        return None
+    return seen_from(library, there.model, x, kinds)
 
 
 def seen_from(library: Library, model: Model, x: Array, kinds: Sequence[str]) -> Library:
@@ -138,10 +141,10 @@ def removed(library: Library, *kinds: str) -> State:
     return library.without[kinds]
 
 
-def _seen(library: Library, state: State, model: Model) -> State:
+def _seen(library: Library, state: State, model: Model, seeds: range = range(TRIALS)) -> State:
     """The state with the model in its place, its mean by a few simulations."""
-    rows = library.simulated([(model, k) for k in range(TRIALS)])
-    shift = (rows - library.rows[:TRIALS]).mean(axis=0)
+    rows = library.simulated([(model, k) for k in seeds])
+    shift = (rows - library.rows[seeds.start : seeds.stop]).mean(axis=0)
     return replace(state, model=model, mean=library.base.mean + shift, check=rows)
 
 
