@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from napari_mufasa.discover import (
         Confirmation,
         Investigation,
+        Power,
         Report,
         confirm,
         confirm_halves,
         diagnose,
         diagnose_traces,
+        power,
         refine,
     )
     from napari_mufasa.effects import Effect, catalogue
@@ -44,11 +46,13 @@ _HOMES = {
     "discover": (
         "Confirmation",
         "Investigation",
+        "Power",
         "Report",
         "confirm",
         "confirm_halves",
         "diagnose",
         "diagnose_traces",
+        "power",
         "refine",
     ),
     "effects": ("Effect", "catalogue"),
@@ -62,12 +66,12 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Calibration", "Camera", "Cancelled", "Comparison", "Confirmation", "Effect", "Investigation", "Mismatch", "Model",
-    "MufasaError", "Photophysics", "Prediction", "Proposal", "Report", "Setup", "SimulatedAcquisition", "Simulation",
-    "Solution", "TraceSet",
-    "calibrate", "catalogue", "compare_movie", "compare_traces", "confirm", "confirm_halves", "denoise", "design",
-    "diagnose", "diagnose_traces", "extract_traces", "infer_photophysics", "mismatches", "predict", "preset",
-    "propose_model", "pure_let", "refine", "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
+    "Calibration", "Camera", "Cancelled", "Comparison", "Confirmation", "Effect", "Investigation", "Mismatch",
+    "Model", "MufasaError", "Photophysics", "Power", "Prediction", "Proposal", "Report", "Setup",
+    "SimulatedAcquisition", "Simulation", "Solution", "TraceSet", "calibrate", "catalogue", "compare_movie",
+    "compare_traces", "confirm", "confirm_halves", "denoise", "design", "diagnose", "diagnose_traces",
+    "extract_traces", "infer_photophysics", "mismatches", "power", "predict", "preset", "propose_model", "pure_let",
+    "refine", "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

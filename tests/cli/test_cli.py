@@ -38,6 +38,7 @@ VERBS = {
     "compare": {"--traces", "--model", "--dark", "--out"},
     "diagnose": {"--model", "--dark", "--out", "--seed", "--budget", "--check", "--halves"},
     "refine": {"--model", "--add", "--out"},
+    "power": {"--model", "--effect", "--strength", "--movies", "--out"},
     "calibrate": {"--dark", "--out"},
     "propose": {"--dark", "--out"},
     "infer": {"--model", "--out"},
@@ -284,6 +285,29 @@ def test_diagnose_takes_a_table_of_traces(cli, model_file, tmp_path, monkeypatch
     assert Model.from_json(tmp_path / "d/model.json") == Model.from_dict(report["model"])
     # Of 40 traces over 1.2 mean lives, fitted and told apart by two laws: six other movies scatter by e^0.41.
     assert 0.5 / 4 < report["ranking"][0]["parameters"]["rate_per_s"] < 0.5 * 4
+
+
+def test_power_tells_how_often_an_effect_is_seen(cli, model_file, tmp_path, monkeypatch):
+    from napari_mufasa import discover
+
+    asked = {}
+
+    def answer(model, effect, strengths, **given):
+        asked.update(given, effect=effect, strengths=strengths)
+        return [
+            discover.Power(effect.model_copy(update={"rms_adu": s}), 10, n, n, 3.0, 12.0) for s, n in ((1, 2), (4, 10))
+        ]
+
+    monkeypatch.setattr(discover, "power", answer)
+    table = tmp_path / "power.csv"
+    code, out, _ = cli("power", "--model", model_file, "--effect", "row_noise:form=rows", "--strength", "1,4",
+                       "--movies", 10, "--dark-frames", 7, "--out", table)  # fmt: skip
+    assert code == 0 and asked["strengths"] == [1.0, 4.0] and asked["effect"].kind == "row_noise"
+    assert asked["movies"] == 10 and asked["dark_frames"] == 7
+    rows = pd.read_csv(table)
+    assert rows["rms_adu"].tolist() == [1, 4] and rows["power"].tolist() == [0.2, 1.0]
+    assert (rows["power_low"] < rows["power"]).all() and rows["power_high"].between(rows["power"], 1).all()
+    assert "from rms_adu = 3.36 on" in out and "promises 12 once in 50 movies" in out
 
 
 def test_compare_finds_the_true_model_nearer_than_a_wrong_one(cli, movie_file, model_file, tmp_path):

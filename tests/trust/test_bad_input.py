@@ -196,6 +196,12 @@ BAD_COMMANDS: dict[str, tuple[str, str]] = {
     "adding what is unknown": ("refine good/movie.tif --model good/model.json --add magic --out out/d", "magic"),
     "adding nothing": ("refine good/movie.tif --model good/model.json --out out/d", "--add"),
     "adding what is there": ("refine good/movie.tif --model in/drift.json --add stage_drift --out out/d", "already"),
+    "the power to see what is unknown": ("power --model good/model.json --effect magic", "magic"),
+    "the power at no strength": ("power --model good/model.json --effect row_noise --strength much", "0.2,0.5,1"),
+    "the power at what cannot be": (
+        "power --model good/model.json --effect row_noise --strength=-1", "row_noise.rms_adu = -1"
+    ),
+    "the power over a file": ("power --model good/model.json --effect row_noise --out in/traces.csv", "--overwrite"),
     "a sweep of nothing": ("design --model good/model.json --vary power", "PATH=V1,V2"),
     "a sweep of what is not there": ("design --model good/model.json --vary camera.colour=1,2", "camera.colour"),
     "a sweep of what cannot be": (

@@ -1,4 +1,4 @@
-"""Verbs of the discovery loop: diagnose, refine."""
+"""Verbs of the discovery loop: diagnose, refine; and power, which asks before the movie is taken."""
 
 from __future__ import annotations
 
@@ -125,6 +125,56 @@ def refine(
     _finish_movie(out, report, recorded, background, [movie, model, dark])
 
 
+def power(
+    model: ModelFile,
+    effect: Annotated[
+        str, typer.Option("--effect", metavar="KIND[:NAME=VALUE,…]", help="What may be hidden in the movie.")
+    ],
+    strength: Annotated[
+        str | None, typer.Option("--strength", metavar="V1,V2,…", help="Of the effect, instead of the one it has.")
+    ] = None,
+    movies: Annotated[int, typer.Option(min=2, max=10_000, metavar="N", help="Simulated with each strength.")] = 40,
+    dark_frames: Annotated[int, typer.Option(min=0, max=10_000, metavar="N", help="Recorded beside the movie.")] = 50,
+    seed: Seed = 1,
+    out: Annotated[Path | None, typer.Option("--out", metavar="TABLE.csv", help="Also write the table.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Predict how likely a diagnosis sees an effect, before the movie is taken."""
+    import pandas as pd
+
+    from napari_mufasa import discover, files
+    from napari_mufasa.discover.detection import strength_seen
+    from napari_mufasa.model.model import Model
+
+    if out is not None:
+        console.check_file_out(out, overwrite)
+        console.check_not_read(out, model)
+    believed = Model.from_json(model)
+    hidden = console.effect_from_text(believed, effect)
+    strengths = None if strength is None else _numbers(strength)
+    with console.working("simulating") as work:
+        found = discover.power(
+            believed, hidden, strengths, movies=movies, dark_frames=dark_frames, seed=seed, **work.both()
+        )  # fmt: skip
+    table = pd.DataFrame([one.row() for one in found])
+    if out is not None:
+        files.write_table(out, table)
+        console.tell_origin(out, believed, (model,))
+    console.print_table(tuple(table), [tuple(row) for row in table.to_numpy()])
+    typer.echo(f"chance alone promises {found[0].needed:.3g} once in 50 movies without it")
+    if len(found) > 1:
+        least = strength_seen(found)
+        told = "none of these" if least is None else f"from {hidden.strength} = {least:.3g} on"
+        typer.echo(f"seen in nine of ten movies: {told}")
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise MufasaError(f"--strength {text!r}: write numbers with commas between, as 0.2,0.5,1") from None
+
+
 def _loaded(movie: Path, model: Model, dark: Any) -> Any:
     from napari_mufasa import files
 
@@ -162,4 +212,4 @@ def _finish(out: Path, report: Report, traces: Any, subtitle: str, read: Sequenc
     typer.echo(f"see {out / 'report.html'}")
 
 
-VERBS = (diagnose, refine)
+VERBS = (diagnose, refine, power)

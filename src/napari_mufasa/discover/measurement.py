@@ -68,6 +68,16 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     return Measurement(data, dark_data, here, tuple(notes))
 
 
+def cropped(model: Model) -> Model:
+    """The model of the part of its movie that a diagnosis looks at: as many molecules per area."""
+    timing = model.acquisition
+    frames = min(timing.n_frames, FRAMES)
+    region = _crop(timing.shape_px, VOXELS // frames)
+    part = model.in_shape(n_frames=frames, region=region)
+    area = float(np.prod(part.acquisition.shape_px)) / float(np.prod(timing.shape_px))
+    return part.with_values({"sample.n_molecules": max(1, round(model.sample.n_molecules * area))})
+
+
 def _check(movie: Any, what: str) -> tuple[int, int, int]:
     n_frames, height, width = (int(n) for n in movie.shape)
     if min(height, width) < 24:
