@@ -30,18 +30,21 @@ from napari_mufasa.report.words import chosen_candidates, effect_title, paramete
 from napari_mufasa.traces import extract_traces
 
 ROOT = Path(__file__).parents[1]
-NAMES = ("smfret_ixon_emccd.tif", "yeast_slimfield_emccd.tif")
-MOST = 6  # effects: a real movie lacks more than one
+MODELS = ROOT / "docs" / "models"
+NAMES = ("smfret_ixon_emccd.tif", "polymerase_ixon888_emccd.tif", "yeast_slimfield_emccd.tif")
 
 
 def movies() -> Iterator[tuple[str, Any, nm.Model, Any, dict[str, Any]]]:
     """Name, movie, believed model, dark frames, and how traces are chosen."""
-    smfret = nm.Model.from_json(ROOT / "docs" / "models" / "smfret_ixon.json")
+    smfret = nm.Model.from_json(MODELS / "smfret_ixon.json")
     yield NAMES[0], files.load(DATA / NAMES[0]), smfret, None, {"max_steps": 1}
-    yeast = nm.Model.from_json(ROOT / "docs" / "models" / "yeast_slimfield.json")
+    polymerase = nm.Model.from_json(MODELS / "polymerase_ixon888.json")
+    dark = files.load(DATA / "polymerase_ixon888_dark.tif")
+    yield NAMES[1], files.load(DATA / NAMES[1]), polymerase, dark, {}
+    yeast = nm.Model.from_json(MODELS / "yeast_slimfield.json")
     yeast = yeast.with_values({"fluorophore.cycles_before_bleaching": None})
-    counts = files.load(DATA / NAMES[1])
-    yield NAMES[1], counts[27:], yeast, counts[:27], {}
+    counts = files.load(DATA / NAMES[2])
+    yield NAMES[2], counts[27:], yeast, counts[:27], {}
 
 
 def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
@@ -87,7 +90,7 @@ def main() -> None:
         if options.only not in name:
             continue
         with working(f"diagnosing {name}") as work:
-            report = nm.diagnose(movie, model, dark, max_effects=MOST, **work.both())
+            report = nm.diagnose(movie, model, dark, **work.both())
         folder = ROOT / "build" / "real_movies" / Path(name).stem
         folder.mkdir(parents=True, exist_ok=True)
         shape = " × ".join(str(n) for n in movie.shape)

@@ -271,6 +271,23 @@ def test_design_maps_two_values_and_solves_for_a_target(viewer, open_panel, run,
     assert "not crossed" in panel.run_bar.message.text()
 
 
+@pytest.mark.slow
+def test_design_simulates_how_often_an_effect_is_seen(viewer, open_panel, bright_model, qtbot):
+    panel = open_panel(DesignPanel, viewer)
+    session_of(viewer).set_model(bright_model, "test")
+    asked = panel.hidden_effect
+    asked.effect.value, asked.movies.value, asked.dark_frames.value = "stage_drift", 3, 5
+    type_into(asked["strengths"], "0.01, 4")
+    panel.power_button.click()
+    qtbot.waitUntil(lambda: panel.power_plot.data is not None, timeout=300_000)
+    assert panel.power_plot.data["distance_px"].tolist() == [0.01, 4.0]
+    assert panel.power_plot.data["power"].tolist() == [0.0, 1.0]
+    asked.effect.value = "astigmatism"
+    type_into(asked["strengths"], "-5")
+    panel.power_button.click()  # an impossible strength: told in one line
+    qtbot.waitUntil(lambda: "astigmatism" in panel.run_bar.message.text(), timeout=60_000)
+
+
 def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, bright_movie, bright_model):
     from napari_mufasa.calibrate import calibrate
 

@@ -25,7 +25,7 @@ from napari_mufasa.report.fields import bounds_of, unit_of
 from napari_mufasa.widgets.parts.edits import MapEdit, TypedEdit
 from napari_mufasa.widgets.parts.forms import PartForm
 
-STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "propose", "design")
+STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "propose", "design", "power")
 
 
 @pytest.fixture(autouse=True)
@@ -184,6 +184,20 @@ def test_calibrate_and_design(layer, bright_movie, bright_model):
     pd.testing.assert_frame_equal(widget(), design(bright_model, {"camera.em_gain": [100.0, 300.0]}))
     widget.vary.value, widget.values.value = "acquisition.n_frames", (100.0,)
     assert widget()["acquisition.n_frames"].tolist() == [100]  # a whole number
+
+
+@pytest.mark.slow
+def test_power(layer, bright_model):
+    from napari_mufasa.discover import power
+
+    widget = widgets.power_widget()
+    widget.movie.value = layer
+    widget.effect.value, widget.strengths.value = "stage_drift", (0.01, 4.0)
+    widget.movies.value, widget.dark_frames.value = 4, 10
+    found = widget()
+    wanted = power(bright_model, catalogue()["stage_drift"](), (0.01, 4.0), movies=4, dark_frames=10)
+    pd.testing.assert_frame_equal(found, pd.DataFrame([one.row() for one in wanted]))
+    assert found["evidence"][1] > found["evidence"][0]
 
 
 @pytest.mark.slow

@@ -137,6 +137,9 @@ def power(
     dark_frames: Annotated[int, typer.Option(min=0, max=10_000, metavar="N", help="Recorded beside the movie.")] = 50,
     seed: Seed = 1,
     out: Annotated[Path | None, typer.Option("--out", metavar="TABLE.csv", help="Also write the table.")] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="PNG", help="Draw the power over the strength.")
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Predict how likely a diagnosis sees an effect, before the movie is taken."""
@@ -146,9 +149,11 @@ def power(
     from napari_mufasa.discover.detection import strength_seen
     from napari_mufasa.model.model import Model
 
-    if out is not None:
-        console.check_file_out(out, overwrite)
-        console.check_not_read(out, model)
+    console.check_apart(out, figure)
+    for path in (out, figure):
+        if path is not None:
+            console.check_file_out(path, overwrite)
+            console.check_not_read(path, model)
     believed = Model.from_json(model)
     hidden = console.effect_from_text(believed, effect)
     strengths = None if strength is None else _numbers(strength)
@@ -160,6 +165,10 @@ def power(
     if out is not None:
         files.write_table(out, table)
         console.tell_origin(out, believed, (model,))
+    if figure is not None:
+        from napari_mufasa.report.figures import power_drawing
+
+        files.whole.write_bytes(figure, power_drawing(table, hidden.kind).render("light"))
     console.print_table(tuple(table), [tuple(row) for row in table.to_numpy()])
     typer.echo(f"chance alone promises {found[0].needed:.3g} once in 50 movies without it")
     if len(found) > 1:

@@ -115,8 +115,11 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
             dropped = inquiry.take_up(leads)
         else:
             break
-        dropped |= inquiry.prune()
+        if not inquiry.stand.far_off:
+            dropped |= inquiry.prune()
         dismissed |= {kind: known | set(inquiry.chosen) | dropped for kind in dropped}
+    if inquiry.stand.far_off:
+        inquiry.prune()
     if inquiry.chosen and inquiry.stand.content:
         inquiry.exchange()
     inquiry.ranking = [candidate for candidate in ranking if candidate.effect not in inquiry.chosen]

@@ -28,6 +28,7 @@ UNSEEN = range(TRIALS, 4 * TRIALS)  # those that confirm where a way downhill ha
 SHARES = (1.0, 0.5, 0.25)  # how much of a step downhill is tried
 STEP = TRIALS * len(SHARES)  # simulations of a step at most
 NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
+DEEPER = 0.9  # of the misfit: a place further downhill is worth the simulations of its neighbourhood
 REMOVALS = 6  # simulations of a model without one of its effects
 
 
@@ -61,7 +62,7 @@ def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Lib
     as simulations that have not shown the way confirm. Of simulations about `most` are spent."""
     here = library.base
     there = descended(library, here, here.model, x, most - _around(here.free, here.model, kinds))
-    if there.model is here.model or not _seen(library, there, there.model, UNSEEN).misfit(x) < NEARER * here.misfit(x):
+    if there.model is here.model or not _seen(library, there, there.model, UNSEEN).misfit(x) < DEEPER * here.misfit(x):
         return None
     return seen_from(library, there.model, x, kinds)
 

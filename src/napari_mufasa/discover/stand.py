@@ -84,6 +84,11 @@ class Stand:
         """Is the error at its floor, and no more misfit left than chance leaves?"""
         return self.state.at_floor(self.x) and self.null.misfit.p(self.misfit) > CONTENT
 
+    @cached_property
+    def far_off(self) -> bool:
+        """Is so much still wrong that what the effects are worth is not to be had yet?"""
+        return self.state.far_off(self.x)
+
     @property
     def needed(self) -> float:
         """The evidence that an effect must promise. A further one is tried from where the usual chance ends: what it is

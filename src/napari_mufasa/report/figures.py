@@ -145,6 +145,13 @@ def design_drawing(
     )  # fmt: skip
 
 
+def power_drawing(table: DataFrame, kind: str) -> Drawing:
+    """How often an effect is seen, over its strength."""
+    return Drawing(
+        "power", "In how many movies the effect is seen.", (5.4, 3.6), lambda f: plotting.power_curve(f, table, kind)
+    )
+
+
 def movie_drawing(name: str, movie: NDArray[Any], unit: str) -> Drawing:
     """Frames spread over a movie."""
     title = f"{name.capitalize()} ({unit})"

@@ -1,4 +1,4 @@
-"""Figures of predictions: curves over one value, maps over two."""
+"""Figures of predictions: curves over one value, maps over two; the power to see an effect over its strength."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_mufasa.report.fields import told
-from napari_mufasa.report.plots.parts import empty, sheet, title
+from napari_mufasa.report.plots.parts import empty, legend, sheet, title
 from napari_mufasa.report.plots.themes import palette
+from napari_mufasa.report.words import effect_title, parameter_label
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -40,6 +41,24 @@ def predictions(
             _map(ax, table, varied[0], varied[1], name, target)
         title(ax, told(name))
     return None
+
+
+def power_curve(parent: Any, table: pd.DataFrame, kind: str) -> None:
+    """In what share of movies an effect is seen, and promises most of all, over its strength: rows of `Power`."""
+    ax, strength = parent.add_subplot(), str(table.columns[0])
+    table = table.sort_values(strength)
+    x, seen = table[strength].to_numpy(float), table["power"].to_numpy(float)
+    around = [seen - table["power_low"].to_numpy(float), table["power_high"].to_numpy(float) - seen]
+    ax.errorbar(x, seen, np.clip(around, 0, None), fmt="o-", ms=4, capsize=3, color=palette().after, label="seen")
+    ax.plot(x, table["first"].to_numpy(float), "s--", ms=4, color=palette().measured, label="seen, and first of all")
+    if _wide(x):
+        ax.set_xscale("log")
+    label, unit = parameter_label(kind, strength)
+    ax.set_xlabel(f"{label} [{unit}]" if unit else label)
+    ax.set_ylabel("share of movies")
+    ax.set_ylim(-0.04, 1.04)
+    title(ax, effect_title(kind))
+    legend(ax)
 
 
 def _curve(ax: Axes, table: pd.DataFrame, varied: str, name: str, target: float | None) -> None:

@@ -14,13 +14,14 @@ from napari_mufasa.design.solve import POWER, QUANTITIES, solve
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.report.fields import number_text, told
 from napari_mufasa.report.lines import solution_lines
-from napari_mufasa.report.plots import predictions
+from napari_mufasa.report.plots import power_curve, predictions
 from napari_mufasa.widgets.parts.edits import TypedEdit
-from napari_mufasa.widgets.parts.forms import DerivedValues, begin, dress, dress_one
+from napari_mufasa.widgets.parts.forms import DerivedValues, begin, dress, dress_one, shared
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import NUMBER, AnyMovie, Believed
-from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, button, column, row, section
+from napari_mufasa.widgets.parts.pieces import RowTable, Tabs, Words, button, column, into_view, row, section
 from napari_mufasa.widgets.parts.plot import PlotCanvas
+from napari_mufasa.widgets.steps.power import power, power_widget
 from napari_mufasa.widgets.turns.session import believed
 
 NUMBERS = [(told(path.split(".")[1]), path) for path in numbers()]
@@ -71,7 +72,7 @@ def targets(
 
 
 class DesignPanel(Panel):
-    words = "What the model predicts before any movie is taken, by formulas. To see an effect, simulate."
+    words = "What the model predicts before any movie is taken: by formulas, and of effects by simulated movies."
     run_label, running = "Predict", "Predicting"
     form_factory = design_widget
     hidden = ("movie",)
@@ -90,6 +91,7 @@ class DesignPanel(Panel):
         self.save_button = self.saver("Save table as CSV …", "Save predictions", self.save, "design.csv")
         what_follows = section("What follows", DerivedValues(self.session))
         self.add(self.form.native, self.run_bar, what_follows, section("Solve for a target", self._solver()))
+        self.add(section("Would an effect be seen?", self._power()))
         self.add(last=Tabs(300, {"Table": self.table, "Plot": page}))
         self.add(self.save_button)
 
@@ -113,6 +115,28 @@ class DesignPanel(Panel):
         found = solve(self.session.model, self.targets(), self.form.vary.value)
         self.session.change_model(found.model, "solved")
         self.solution.say("<br>".join(solution_lines(found)))
+
+    def _power(self) -> Any:
+        """An effect, its strengths, and a button that simulates movies with them."""
+        self.hidden_effect: Any = shared(power_widget(call_button=False), self.viewer)
+        self.hidden_effect.movie.visible = False
+        self.power_button = button(
+            "How often is it seen?", partial(self.guarded, self.simulate_power), "Simulate movies with each strength"
+        )
+        self.power_plot = PlotCanvas(self.viewer, "The share of movies in which a diagnosis sees the effect.", 220)
+        owner = QWidget()
+        column(owner, self.hidden_effect.native, row(self.power_button), self.power_plot)
+        return owner
+
+    def simulate_power(self) -> None:
+        """Simulate movies with an effect, and draw in how many of them it is seen."""
+        asked = self.hidden_effect.asdict()
+
+        def show(found: pd.DataFrame) -> None:
+            self.power_plot.draw(lambda figure: power_curve(figure, found, asked["effect"]), found)
+
+        self.run_bar.start("Simulating movies with the effect", lambda: power(**asked), show)
+        into_view(self.run_bar)
 
     def take(self, found: pd.DataFrame) -> None:
         self.prediction = found
