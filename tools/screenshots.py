@@ -167,6 +167,15 @@ def simulate(viewer: Any, dock: Any) -> Iterator[str]:
 def design(viewer: Any, dock: Any) -> Iterator[str]:
     press(dock.panel)
     yield "design"
+    from napari_mufasa.widgets.parts.pieces import into_view
+
+    dock.panel.power_section.expand(animate=False)
+    asked = dock.panel.hidden_effect
+    asked.strengths.value, asked.movies.value = (0.4, 0.8, 1.6, 3.2), 20
+    dock.panel.power_button.click()
+    finish(dock.panel)
+    into_view(dock.panel.power_plot)
+    yield "design-power"
 
 
 def real(viewer: Any, workflow: Any) -> Iterator[str]:

@@ -193,7 +193,7 @@ def test_power(layer, bright_model):
     widget = widgets.power_widget()
     widget.movie.value = layer
     widget.effect.value, widget.strengths.value = "stage_drift", (0.01, 4.0)
-    widget.movies.value, widget.dark_frames.value = 4, 10
+    widget.movies.value, widget.recorded_dark.value = 4, 10
     found = widget()
     wanted = power(bright_model, catalogue()["stage_drift"](), (0.01, 4.0), movies=4, dark_frames=10)
     pd.testing.assert_frame_equal(found, pd.DataFrame([one.row() for one in wanted]))

@@ -171,7 +171,7 @@ class Steps(Standing):
         surprise = stand.state.surprise(stand.x)
         if not tries or tries[0].surprise(stand.x) > surprise + (0.0 if stand.content else 2 * NEAR):
             return False
-        if not self._settle(tries[0], below=stand.misfit + NEAR):
+        if not self._settle(tries[0], below=stand.misfit + (NEAR if stand.content else -NEAR)):
             return False
         other = self.stands.pop()
         if other.state.surprise(stand.x) > surprise - NEAR or other.error > stand.error:

@@ -91,7 +91,8 @@ class DesignPanel(Panel):
         self.save_button = self.saver("Save table as CSV …", "Save predictions", self.save, "design.csv")
         what_follows = section("What follows", DerivedValues(self.session))
         self.add(self.form.native, self.run_bar, what_follows, section("Solve for a target", self._solver()))
-        self.add(section("Would an effect be seen?", self._power()))
+        self.power_section = section("Would an effect be seen?", self._power())
+        self.add(self.power_section)
         self.add(last=Tabs(300, {"Table": self.table, "Plot": page}))
         self.add(self.save_button)
 
@@ -119,11 +120,11 @@ class DesignPanel(Panel):
     def _power(self) -> Any:
         """An effect, its strengths, and a button that simulates movies with them."""
         self.hidden_effect: Any = shared(power_widget(call_button=False), self.viewer)
-        self.hidden_effect.movie.visible = False
+        self.hidden_effect.movie.visible = self.hidden_effect.model.visible = False
         self.power_button = button(
             "How often is it seen?", partial(self.guarded, self.simulate_power), "Simulate movies with each strength"
         )
-        self.power_plot = PlotCanvas(self.viewer, "The share of movies in which a diagnosis sees the effect.", 220)
+        self.power_plot = PlotCanvas(self.viewer, "The share of movies in which a diagnosis sees the effect.", 270)
         owner = QWidget()
         column(owner, self.hidden_effect.native, row(self.power_button), self.power_plot)
         return owner

@@ -22,7 +22,7 @@ def power(
     effect: Annotated[str, {"widget_type": "ComboBox", "label": "Effect", "choices": EFFECTS}] = "stage_drift",
     strengths: Annotated[tuple[float, ...], STRENGTHS | {"label": "Strengths"}] = (),
     movies: Annotated[int, {"label": "Movies of each", "min": 2, "max": 10_000}] = 40,
-    dark_frames: Annotated[int, {"label": "Dark frames", "min": 0, "max": 10_000}] = 50,
+    recorded_dark: Annotated[int, {"label": "Dark frames", "min": 0, "max": 10_000}] = 50,
     seed: Seed = 1,
 ) -> pd.DataFrame:
     """Simulate movies with an effect, and count in how many of them a diagnosis would see it.
@@ -33,7 +33,7 @@ def power(
         effect: What may be hidden in the movie, in its plain form
         strengths: Of the effect, e.g. 0.2, 0.5, 1
         movies: Simulated with each strength
-        dark_frames: Recorded beside the movie
+        recorded_dark: Dark frames, recorded beside the movie
 
     Returns:
         The table, a row for each strength: power with its 95 % interval, and how often it promises most of all.
@@ -42,7 +42,7 @@ def power(
 
     progress, cancel = steering()
     found = asked(
-        believed(model, movie), catalogue()[effect](), strengths or None, movies=movies, dark_frames=dark_frames,
+        believed(model, movie), catalogue()[effect](), strengths or None, movies=movies, dark_frames=recorded_dark,
         seed=seed, progress=progress, cancel=cancel,
     )  # fmt: skip
     return pd.DataFrame([one.row() for one in found])
