@@ -93,11 +93,26 @@ def diagnose_traces(
 
 
 def play(inquiry: Investigation, max_effects: int | None) -> Report:
-    """The whole conversation: what explains the misfit is taken up together, fitted together, and what does not earn
-    its place goes again, until nothing promises more, or the budget is spent."""
+    """The whole conversation: what explains the misfit is taken up together and fitted together until nothing more
+    promises anything; what does not earn its place goes again, and another look is taken, until all that is left has
+    earned it, or the budget is spent."""
     inquiry.examine()
     ranking = inquiry.rank(0)
     dismissed: dict[str, set[str]] = {}  # kinds taken out again, and beside which others
+    while True:
+        _climb(inquiry, max_effects, dismissed)
+        dropped = inquiry.prune()
+        _dismiss(dismissed, dropped, inquiry)
+        if not dropped or inquiry.stand.content:
+            break
+    if inquiry.chosen and inquiry.stand.content:
+        inquiry.exchange()
+    inquiry.ranking = [candidate for candidate in ranking if candidate.effect not in inquiry.chosen]
+    return inquiry.report()
+
+
+def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str, set[str]]) -> None:
+    """Take up what promises something, or another form of what is in the model, until nothing does."""
     while not (inquiry.chosen and inquiry.stand.content):
         stand, known = inquiry.stand, set(inquiry.chosen)
         but = {kind for kind, beside in dismissed.items() if known <= beside}
@@ -108,22 +123,21 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
             continue
         apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
         leads = apart or leads
-        dropped: set[str] = set()
         if known and not apart and (inquiry.deepen() or inquiry.exchange([cases[0] for cases in leads])):
-            pass
+            dropped = set[str]()
         elif leads and inquiry.affords(len(leads)):
             dropped = inquiry.take_up(leads)
         else:
             break
         if not inquiry.stand.far_off:
-            dropped |= inquiry.prune()
-        dismissed |= {kind: known | set(inquiry.chosen) | dropped for kind in dropped}
-    if inquiry.stand.far_off:
-        inquiry.prune()
-    if inquiry.chosen and inquiry.stand.content:
-        inquiry.exchange()
-    inquiry.ranking = [candidate for candidate in ranking if candidate.effect not in inquiry.chosen]
-    return inquiry.report()
+            dropped |= inquiry.prune(sure=True)
+        _dismiss(dismissed, dropped, inquiry)
+
+
+def _dismiss(dismissed: dict[str, set[str]], dropped: set[str], inquiry: Investigation) -> None:
+    """Note what was taken out again, and beside what."""
+    beside = set(inquiry.chosen) | dropped
+    dismissed |= {kind: beside for kind in dropped}
 
 
 def _check(max_effects: int | None, budget: int | None) -> None:

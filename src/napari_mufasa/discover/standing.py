@@ -81,11 +81,12 @@ class Standing:
         return self.budget - self.bench.done
 
     def affords(self, n_effects: int) -> bool:
-        """Whether so many effects can be started and settled within the budget, with one step downhill at least."""
+        """Whether so many effects can be started and settled within the budget, with one step downhill at least; and
+        further ones so that what is in the model can still be judged."""
         stand = self.stand
         n_free = len(stand.state.free) + 2 * n_effects
         least = library.expected_simulations(self.kinds, n_free, stand.state.model) + 4 * n_free
-        return self.left > n_effects * SIMULATIONS + least
+        return self.left > n_effects * SIMULATIONS + least * (2 if n_effects and self.chosen else 1)
 
     def candidates(self) -> list[Candidate]:
         """The cases of the effects in the model."""

@@ -63,9 +63,10 @@ class Steps(Standing):
         self.undo()
         return False
 
-    def prune(self) -> set[str]:
-        """Take out what does not earn its place: at once what is worth far less than it needs, then one by one; what
-        only a whole fit without them can tell is told by one. Returns the kinds taken out."""
+    def prune(self, sure: bool = False) -> set[str]:
+        """Take out what does not earn its place: at once what is worth far less than it needs, then one by one (not
+        where only what is `sure` shall go); what only a whole fit without them can tell is told by one. Returns the
+        kinds taken out."""
         dropped: set[str] = set()
         at_once = True
         while self.chosen:
@@ -80,6 +81,8 @@ class Steps(Standing):
                 return dropped | set(doubtful)
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
             far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
+            if sure and not (at_once and far_less):
+                break
             kinds = far_less if at_once and 0 < len(far_less) < len(stand.added) else order[:1]
             worth, lesser = self._lesser(kinds, sum(doubtful[k].needed for k in kinds))
             if lesser is not None:

@@ -86,6 +86,7 @@ class DesignPanel(Panel):
         self.plot = PlotCanvas(self.viewer, "Press Predict: curves over one value, maps over two.", 260)
         self.shown = dress_one(ComboBox(choices=TARGETS, value="snr_spot", label="Prediction drawn"))
         self.shown.changed.connect(self._draw)
+        self.power_plot = PlotCanvas(self.viewer, "The share of movies in which a diagnosis sees the effect.", 270)
         page = QWidget()
         column(page, self.shown.native, self.plot, shares=(0, 1))
         self.save_button = self.saver("Save table as CSV …", "Save predictions", self.save, "design.csv")
@@ -93,7 +94,8 @@ class DesignPanel(Panel):
         self.add(self.form.native, self.run_bar, what_follows, section("Solve for a target", self._solver()))
         self.power_section = section("Would an effect be seen?", self._power())
         self.add(self.power_section)
-        self.add(last=Tabs(300, {"Table": self.table, "Plot": page}))
+        self.tabs = Tabs(300, {"Table": self.table, "Plot": page, "Effect seen?": self.power_plot})
+        self.add(last=self.tabs)
         self.add(self.save_button)
 
     def _solver(self) -> Any:
@@ -124,9 +126,8 @@ class DesignPanel(Panel):
         self.power_button = button(
             "How often is it seen?", partial(self.guarded, self.simulate_power), "Simulate movies with each strength"
         )
-        self.power_plot = PlotCanvas(self.viewer, "The share of movies in which a diagnosis sees the effect.", 270)
         owner = QWidget()
-        column(owner, self.hidden_effect.native, row(self.power_button), self.power_plot)
+        column(owner, self.hidden_effect.native, row(self.power_button))
         return owner
 
     def simulate_power(self) -> None:
@@ -134,7 +135,9 @@ class DesignPanel(Panel):
         asked = self.hidden_effect.asdict()
 
         def show(found: pd.DataFrame) -> None:
+            self.tabs.setCurrentWidget(self.power_plot)
             self.power_plot.draw(lambda figure: power_curve(figure, found, asked["effect"]), found)
+            into_view(self.tabs)
 
         self.run_bar.start("Simulating movies with the effect", lambda: power(**asked), show)
         into_view(self.run_bar)
