@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover import joint, reporting
+from napari_mufasa.discover import joint, reporting, steps
 from napari_mufasa.discover.automatic import play
 from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.investigation import Investigation
@@ -135,6 +135,66 @@ def test_what_comes_to_next_to_none_stays_out_where_it_was_on_trial(inquiry, on_
 def test_no_more_than_so_many_effects_are_added():
     report = play(investigation(), 1)
     assert len(report.chosen) == 1 and report.verdict == "unexplained"
+
+
+def test_what_is_doubtful_stays_while_only_what_is_surely_useless_shall_go(monkeypatch):
+    inquiry = investigation()
+    inquiry.add(*HIDDEN, "photobleaching")
+    monkeypatch.setattr(steps, "FAR_LESS", 0.0)  # nothing is worth so little
+    assert inquiry.prune(sure=True) == set() and "photobleaching" in inquiry.chosen
+    assert inquiry.prune() == {"photobleaching"}
+    assert set(inquiry.chosen) == MISSING
+
+
+class Climb:
+    """An investigation that takes up one effect a look, far from its floor until the last; each doubted is dropped."""
+
+    def __init__(self, kinds, far_off):
+        self.left, self.far_off, self.chosen, self.told = list(kinds), far_off, [], []
+
+    @property
+    def stand(self):
+        leads = [[[SimpleNamespace(kind=kind)]] for kind in self.left[:1]]
+        return SimpleNamespace(
+            content=False, alarmed=True, far_off=len(self.left) in self.far_off, promising=lambda but: leads,
+            stands_apart=lambda lead: True,
+        )  # fmt: skip
+
+    def take_up(self, leads):
+        self.told.append(f"take up {self.left[0]}")
+        self.chosen.append(self.left.pop(0))
+        return set()
+
+    def prune(self, sure=False):
+        self.told.append("drop the useless" if sure else "judge")
+        doubted = set() if sure else {kind for kind in self.chosen if kind.startswith("doubted")}
+        self.chosen = [kind for kind in self.chosen if kind not in doubted]
+        return doubted
+
+    def examine(self):
+        self.ranking = []
+
+    def rank(self, tries):
+        return []
+
+    def widen(self, leads=()):
+        return False
+
+    deepen = exchange = widen
+
+    def affords(self, n):
+        return True
+
+    def report(self):
+        return self.told
+
+
+def test_effects_are_judged_near_the_floor_and_once_nothing_more_promises_anything():
+    far = Climb(["one", "doubted", "two"], far_off=(3, 2, 1))
+    told = play(far, None)
+    assert told == ["take up one", "take up doubted", "take up two", "drop the useless", "judge", "judge"]
+    assert far.chosen == ["one", "two"]
+    assert play(Climb(["one"], far_off=(0,)), None) == ["take up one", "judge"]
 
 
 @pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])

@@ -103,7 +103,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         _climb(inquiry, max_effects, dismissed)
         dropped = inquiry.prune()
         _dismiss(dismissed, dropped, inquiry)
-        if not dropped or inquiry.stand.content:
+        if inquiry.stand.content or not (dropped or (inquiry.chosen and (inquiry.deepen() or inquiry.exchange()))):
             break
     if inquiry.chosen and inquiry.stand.content:
         inquiry.exchange()
@@ -112,7 +112,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
 
 
 def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str, set[str]]) -> None:
-    """Take up what promises something, or another form of what is in the model, until nothing does."""
+    """Take up what promises something, or another form of what may have left that, until nothing does."""
     while not (inquiry.chosen and inquiry.stand.content):
         stand, known = inquiry.stand, set(inquiry.chosen)
         but = {kind for kind, beside in dismissed.items() if known <= beside}
@@ -121,11 +121,13 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
             leads = leads[: max(max_effects - len(known), 0)]
         if (known or not leads) and inquiry.widen():
             continue
+        if not leads:
+            break
         apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
         leads = apart or leads
         if known and not apart and (inquiry.deepen() or inquiry.exchange([cases[0] for cases in leads])):
             dropped = set[str]()
-        elif leads and inquiry.affords(len(leads)):
+        elif inquiry.affords(len(leads)):
             dropped = inquiry.take_up(leads)
         else:
             break

@@ -108,7 +108,7 @@ class Steps(Standing):
             effect = next(e for e in stand.state.model.effects if e.kind == kind)
             if not stand.content and (others := [e for e in each_form(effect) if e.chosen != effect.chosen]):
                 tries.append(begun(stand.library, stand.without(kind), others, stand.x))
-            if self._replaced(kind, tries):
+            if self._replaced(kind, tries, -NEAR if leads else NEAR):
                 return True
         return False
 
@@ -162,9 +162,9 @@ class Steps(Standing):
         stand = self.stand
         return [started(stand.library, stand.without(kind), case, stand.x) for case in cases]
 
-    def _replaced(self, kind: str, tries: list[State]) -> bool:
-        """Settle the best of `tries`, in each of which something else is in the place of an effect; keep it where it
-        explains more."""
+    def _replaced(self, kind: str, tries: list[State], more: float) -> bool:
+        """Settle the best of `tries`, in each of which something else is in the place of an effect, unless it leaves so
+        much `more` misfit; keep it where it explains more."""
         stand = self.stand
         tries = sorted(tries, key=lambda state: state.surprise(stand.x))
         behind = {t.model.effects[-1].kind: t.misfit(stand.x) - stand.misfit for t in tries}
@@ -174,7 +174,7 @@ class Steps(Standing):
         surprise = stand.state.surprise(stand.x)
         if not tries or tries[0].surprise(stand.x) > surprise + (0.0 if stand.content else 2 * NEAR):
             return False
-        if not self._settle(tries[0], below=stand.misfit + (NEAR if stand.content else -NEAR)):
+        if not self._settle(tries[0], below=stand.misfit + more):
             return False
         other = self.stands.pop()
         if other.state.surprise(stand.x) > surprise - NEAR or other.error > stand.error:
