@@ -5,29 +5,45 @@ Import this module only where photons are simulated: it needs numba.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from napari_mufasa.chance.variates import exponential, poisson, stream, uniform
+from napari_mufasa.chance.variates import (
+    INVERTED,
+    exponential,
+    poisson_by_inversion,
+    poisson_by_rejection,
+    rejection_of,
+    stream,
+    uniform,
+)
 
 compiled: Any = njit(cache=True, nogil=True)
 
 
 @compiled
-def run(driven, undriven, photon_probability, photon_rate, start, drive, light, of_each, exposure_s, dead_s, key):  # type: ignore[no-untyped-def]
+def run(  # type: ignore[no-untyped-def]
+    driven, undriven, photon_probability, photon_rate, start, drive, light, of_each, exposure_s, dead_s, key, first,
+    expected, photons,
+):  # fmt: skip
+    """Follow molecules `first`, `first` + 1 …, one for each value of `drive`, into rows of `expected` and `photons`
+    (molecule, frame) that are zero."""
     n_states = driven.shape[0]
     n_molecules, n_frames = drive.size, light.size
-    expected = np.zeros((n_molecules, n_frames))
-    photons = np.zeros((n_molecules, n_frames), dtype=np.int64)
+    spans = (exposure_s, dead_s)
     for m in range(n_molecules):
-        random = stream(key, m, 0)
+        random = stream(key, first + m, 0)
         u, random = uniform(random)
         state = 0
         while state < n_states - 1 and u >= start[state]:
             state += 1
         absorbed = False
+        of_state, of_light = -1, 0.0  # what `total`, `brightness` and `stays` were worked out for
+        total = brightness = 0.0
+        stays = (0.0, 0.0)
         for f in range(n_frames):
             if absorbed:
                 break
@@ -37,16 +53,28 @@ def run(driven, undriven, photon_probability, photon_rate, start, drive, light, 
             # Rates are constant within a segment and exponential waits have no memory, so a wait
             # that crosses the segment's end is simply drawn anew from there.
             for segment in range(2):
-                left = exposure_s if segment == 0 else dead_s
+                left = spans[segment]
                 while left > 0.0:
-                    total = 0.0
-                    for s in range(n_states):
-                        total += relative * driven[state, s] + undriven[state, s]
+                    if state != of_state or relative != of_light:
+                        total = 0.0
+                        for s in range(n_states):
+                            total += relative * driven[state, s] + undriven[state, s]
+                        brightness = photon_rate[state] * relative
+                        # 1 − x < e^−x: below it, a uniform's wait is certainly longer. Most frames end here.
+                        stays = (1.0 - total * exposure_s - 1e-12, 1.0 - total * dead_s - 1e-12)
+                        of_state, of_light = state, relative
+                    if left == spans[segment]:
+                        u, after = uniform(random)
+                        if u < stays[segment]:
+                            random = after
+                            if segment == 0 and brightness > 0.0:
+                                expected[m, f] += brightness * left
+                            break
                     wait, random = exponential(random)
                     wait = wait / total if total > 0.0 else np.inf
                     stay = min(wait, left)
-                    if segment == 0:
-                        expected[m, f] += photon_rate[state] * relative * stay
+                    if segment == 0 and brightness > 0.0:
+                        expected[m, f] += brightness * stay
                     left -= stay
                     if wait > stay or total == 0.0:
                         break
@@ -73,13 +101,23 @@ def run(driven, undriven, photon_probability, photon_rate, start, drive, light, 
                         break
                 if absorbed:
                     break
-    return expected, photons
 
 
 @compiled
-def draw(expected, key):  # type: ignore[no-untyped-def]
-    photons = np.empty(expected.shape, dtype=np.int64)
+def draw(expected, key, first, photons):  # type: ignore[no-untyped-def]
+    """Poisson counts of `expected` (molecule, frame) into `photons`, which are zero; rows are `first`, `first` + 1 …"""
+    mean, none, shape = 0.0, 1.0, (0.0, 0.0, 0.0)
     for m in range(expected.shape[0]):
         for f in range(expected.shape[1]):
-            photons[m, f], _ = poisson(expected[m, f], stream(key, m, f))
-    return photons
+            if expected[m, f] <= 0.0:
+                continue
+            # A molecule in the light all along has the same mean in every frame.
+            changed, mean = expected[m, f] != mean, expected[m, f]
+            if mean < INVERTED:
+                if changed:
+                    none = math.exp(-mean)
+                photons[m, f], _ = poisson_by_inversion(mean, none, stream(key, first + m, f))
+            else:
+                if changed:
+                    shape = rejection_of(mean)
+                photons[m, f], _ = poisson_by_rejection(mean, shape, stream(key, first + m, f))
