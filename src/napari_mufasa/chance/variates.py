@@ -57,6 +57,24 @@ def uniform(state):  # type: ignore[no-untyped-def]
 
 
 @jit
+def limit(p):  # type: ignore[no-untyped-def]
+    """What `surely_below` compares with for a chance p (the last 1e-12 of it is left out)."""
+    return np.uint64(max(p - 1e-12, 0.0) * 18446744073709551616.0)
+
+
+@jit
+def surely_below(state, draw, p):  # type: ignore[no-untyped-def]
+    """Whether the uniform number `draw` (from 1) of a state is surely below a `limit`, without making it."""
+    return mix(state + np.uint64(draw) * _GOLDEN) < p
+
+
+@jit
+def skipped(state, draws):  # type: ignore[no-untyped-def]
+    """The state after so many draws."""
+    return state + np.uint64(draws) * _GOLDEN
+
+
+@jit
 def exponential(state):  # type: ignore[no-untyped-def]
     u, state = uniform(state)
     return -math.log(u), state

@@ -14,10 +14,13 @@ from numba import njit
 from napari_mufasa.chance.variates import (
     INVERTED,
     exponential,
+    limit,
     poisson_by_inversion,
     poisson_by_rejection,
     rejection_of,
+    skipped,
     stream,
+    surely_below,
     uniform,
 )
 
@@ -32,49 +35,53 @@ def run(  # type: ignore[no-untyped-def]
     """Follow molecules `first`, `first` + 1 …, one for each value of `drive`, into rows of `expected` and `photons`
     (molecule, frame) that are zero."""
     n_states = driven.shape[0]
-    n_molecules, n_frames = drive.size, light.size
-    spans = (exposure_s, dead_s)
-    for m in range(n_molecules):
+    n_frames = light.size
+    course = np.empty(n_frames)
+    draws = 2 if dead_s > 0.0 else 1
+    for m in range(drive.size):
         random = stream(key, first + m, 0)
         u, random = uniform(random)
         state = 0
         while state < n_states - 1 and u >= start[state]:
             state += 1
-        absorbed = False
-        of_state, of_light = -1, 0.0  # what `total`, `brightness` and `stays` were worked out for
-        total = brightness = 0.0
-        stays = (0.0, 0.0)
         for f in range(n_frames):
-            if absorbed:
-                break
-            relative = drive[m] * light[f]
-            if of_each.size > 0:
-                relative *= of_each[m, f]
+            course[f] = drive[m] * light[f]
+        if of_each.size > 0:
+            for f in range(n_frames):
+                course[f] *= of_each[m, f]
+        absorbed = False
+        f = 0
+        while f < n_frames and not absorbed:
+            relative = course[f]
+            total = 0.0
+            for s in range(n_states):
+                total += relative * driven[state, s] + undriven[state, s]
+            # 1 − x < e^−x: a uniform below it makes a wait that outlasts the segment. So most frames end.
+            in_light, in_dead = limit(1.0 - total * exposure_s), limit(1.0 - total * dead_s)
+            calm = f
+            while calm < n_frames and course[calm] == relative and surely_below(random, 1, in_light):
+                if draws == 2 and not surely_below(random, 2, in_dead):
+                    break
+                random = skipped(random, draws)
+                calm += 1
+            if photon_rate[state] * relative > 0.0:
+                expected[m, f:calm] = photon_rate[state] * relative * exposure_s
+            f = calm
+            if f == n_frames or course[f] != relative:
+                continue
             # Rates are constant within a segment and exponential waits have no memory, so a wait
             # that crosses the segment's end is simply drawn anew from there.
             for segment in range(2):
-                left = spans[segment]
+                left = exposure_s if segment == 0 else dead_s
                 while left > 0.0:
-                    if state != of_state or relative != of_light:
-                        total = 0.0
-                        for s in range(n_states):
-                            total += relative * driven[state, s] + undriven[state, s]
-                        brightness = photon_rate[state] * relative
-                        # 1 − x < e^−x: below it, a uniform's wait is certainly longer. Most frames end here.
-                        stays = (1.0 - total * exposure_s - 1e-12, 1.0 - total * dead_s - 1e-12)
-                        of_state, of_light = state, relative
-                    if left == spans[segment]:
-                        u, after = uniform(random)
-                        if u < stays[segment]:
-                            random = after
-                            if segment == 0 and brightness > 0.0:
-                                expected[m, f] += brightness * left
-                            break
+                    total = 0.0
+                    for s in range(n_states):
+                        total += relative * driven[state, s] + undriven[state, s]
                     wait, random = exponential(random)
                     wait = wait / total if total > 0.0 else np.inf
                     stay = min(wait, left)
-                    if segment == 0 and brightness > 0.0:
-                        expected[m, f] += brightness * stay
+                    if segment == 0 and photon_rate[state] > 0.0:
+                        expected[m, f] += photon_rate[state] * relative * stay
                     left -= stay
                     if wait > stay or total == 0.0:
                         break
@@ -101,6 +108,7 @@ def run(  # type: ignore[no-untyped-def]
                         break
                 if absorbed:
                     break
+            f += 1
 
 
 @compiled
