@@ -54,8 +54,9 @@ def denoise(
     ----------
     movie : array (frame, y, x) or (y, x), ADU
         numpy, dask or zarr; read in pieces of 32 frames, fewer above 512 x 512 pixels.
-        Memory on top of the program's does not grow with the number of frames: PEAK, and the result
-        unless ``out`` is on disk.
+        Memory on top of the program's does not grow with the number of frames: about 1.2 GB for frames of 1024 x 1024
+        pixels, in proportion for smaller ones (`python -m benchmarks.speed --only memory`), and the result unless
+        ``out`` is on disk.
     camera : Camera, optional
         Gain, read noise, baseline, quantum efficiency and maps. Without one they are measured on the movie and
         ``dark`` (`napari_mufasa.calibrate.measure`, an EMCCD assumed): say what you know with a camera of your own.
