@@ -1,4 +1,4 @@
-"""How fast things are, as ratios measured in one run: `make bench`, or `python -m benchmarks.speed [--quick]`.
+"""How fast things are, as ratios measured in one run: `make bench`, or `python -m benchmarks.speed`.
 
 Times are processor time of one core (but for workers: by the clock), the least of some repetitions, after everything is
 compiled. Run it with nothing else at work. What is printed is kept in benchmarks/results/speed.md.
@@ -62,8 +62,9 @@ def emissions(quick: bool) -> Iterator[str]:
     """Photons of every molecule and frame, against every jump followed, and against a bare draw."""
     yield "### Photons of molecules"
     yield from header(
-        "protocol", "molecules × frames", "jump by jump / ours", "ours / one Poisson draw per molecule and bright frame"
-    )
+        "protocol", "molecules × frames", "jump by jump / ours",
+        "ours / one Poisson draw per molecule and bright frame", "one worker / two, by the clock",
+    )  # fmt: skip
     rng = np.random.default_rng(0)
     few, many = (200, 3000) if quick else (500, 15_000)
     for preset in PROTOCOLS:
@@ -74,7 +75,8 @@ def emissions(quick: bool) -> Iterator[str]:
         light = SimulatedAcquisition(large, seed=1).emission
         means = light[light > 0].astype(float)
         bare = processor_s(lambda v=means: rng.poisson(v))
-        yield row(preset, f"{few} and {many} × 200", exact / fast, whole / max(bare, 1e-6))
+        one, two = (clock_s(lambda m=large, w=w: SimulatedAcquisition(m, seed=1, workers=w)) for w in (1, 2))
+        yield row(preset, f"{few} and {many} × 200", exact / fast, whole / max(bare, 1e-6), one / two)
 
 
 def movies(quick: bool) -> Iterator[str]:
@@ -126,9 +128,9 @@ def denoising(quick: bool) -> Iterator[str]:
         yield row(n, each / times[-1])
 
 
-def memory(quick: bool) -> Iterator[str]:
+def memory(quick: bool, frames: int = 256) -> Iterator[str]:
     """Anonymous memory (RssAnon) of commands that stream a movie, looked at twenty times a second."""
-    n_frames, side = (64, 256) if quick else (256, 1024)
+    n_frames, side = (64, 256) if quick else (frames, 1024)
     size_gb = 2 * n_frames * side**2 / 1e9
     yield "### Memory"
     yield from header(f"{n_frames} × {side} × {side} movie ({size_gb:.2f} GB)", "most anonymous memory, GB")
@@ -171,24 +173,32 @@ def most_anonymous_gb(arguments: list[str]) -> float:
     return most * 1024 / 1e9
 
 
+PARTS: dict[str, Callable[[bool], Iterator[str]]] = {
+    "emissions": emissions, "movies": movies, "growth": growth, "denoising": denoising, "memory": memory,
+}  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="smaller sizes, a minute; nothing is kept")
+    parser.add_argument("--only", choices=PARTS, help="one part; nothing is kept")
+    parser.add_argument("--frames", type=int, default=256, help="of the movie that memory is measured on (2000: 4 GB)")
     options = parser.parse_args()
     lines = [
         "# Speed", "",
         "`make bench`: ratios of one run. Times are processor time of one core (but for workers: by the clock), the",
         "least of some repetitions, after everything is compiled. Photons of molecules are with layout and scene.",
     ]  # fmt: skip
-    for part in (emissions, movies, growth, denoising, memory):
-        for line in part(options.quick):
+    for part in [options.only] if options.only else PARTS:
+        told = memory(options.quick, options.frames) if part == "memory" else PARTS[part](options.quick)
+        for line in told:
             if line.startswith("###"):
                 lines += ["", line[1:], ""]
                 print(f"\n{line[1:]}\n", flush=True)
             else:
                 lines.append(line)
                 print(line, flush=True)
-    if not options.quick:
+    if not (options.quick or options.only):
         RESULT.write_text("\n".join(lines) + "\n")
 
 

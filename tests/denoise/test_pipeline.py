@@ -8,7 +8,7 @@ import pytest
 import zarr
 
 import napari_mufasa as nm
-from napari_mufasa.denoise import pipeline, pure_let_movie, temporal
+from napari_mufasa.denoise import pure_let_movie, reel, temporal
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model.setup import Camera
 
@@ -114,7 +114,7 @@ def test_no_more_than_a_block_is_read_at_once():
 
     watched = Watched(record(blobs(160), EMCCD, np.random.default_rng(6)))
     nm.denoise(watched, EMCCD)
-    assert watched.largest <= pipeline.BLOCK + 2 * temporal.NEIGHBOURS
+    assert watched.largest <= reel.BLOCK + 2 * temporal.NEIGHBOURS
 
 
 def test_a_single_frame_and_a_two_dimensional_one():

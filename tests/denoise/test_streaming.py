@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 import tifffile
 import zarr
+from benchmarks.speed import most_anonymous_gb
 from tests.denoise.test_pipeline import EMCCD, record
 
 import napari_mufasa as nm
 from napari_mufasa import files
 from napari_mufasa.cli import main
+from napari_mufasa.denoise import reel
 
 
 def test_the_command_line_measures_the_camera_on_dark_frames(tmp_path, capsys):
@@ -90,3 +92,51 @@ def test_a_movie_larger_than_memory_streams(tmp_path):
     done = run()
     assert done.returncode == 0, done.stderr[-2000:]
     assert out[-1].mean() == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="a process's anonymous memory is told by Linux")
+def test_memory_does_not_grow_with_the_length_of_a_movie(tmp_path):
+    # 512 frames more are 38 MB as recorded and 75 MB as float32; peaks of one length scatter by a few MB.
+    nm.preset("FF").to_json(tmp_path / "model.json")
+    given, peaks = ["--model", str(tmp_path / "model.json")], {}
+    for frames in (128, 640):
+        movie = str(tmp_path / f"{frames}.zarr")
+        size = ["--frames", str(frames), "--shape", "192", "192", "--n-molecules", "100"]
+        peaks[frames] = [
+            most_anonymous_gb(arguments)
+            for arguments in (
+                ["simulate", *given, *size, "--out", movie],
+                ["denoise", movie, *given, "--out", str(tmp_path / f"d{frames}.zarr")],
+                ["traces", movie, *given, "--out", str(tmp_path / f"t{frames}")],
+            )
+        ]
+    grown = np.subtract(peaks[640], peaks[128])
+    assert np.all(grown < 0.03), grown
+
+
+@pytest.mark.parametrize("frames", [1, 3, 8, 31])
+@pytest.mark.parametrize("method", ["pure-let-movie", "pure-let", "none"])
+def test_the_size_of_pieces_changes_no_bit(frames, method, monkeypatch):
+    movie = record(np.random.default_rng(4).gamma(2.0, 2.0, (70, 24, 20)), EMCCD, np.random.default_rng(5))
+    whole = nm.denoise(movie, EMCCD, method=method)
+    monkeypatch.setattr(reel, "PIECE_PIXELS", frames * 24 * 20)
+    monkeypatch.setattr(reel, "HELD_PIXELS", 1)
+    assert reel.piece_frames(movie.shape) == max(frames, 2)
+    np.testing.assert_array_equal(nm.denoise(movie, EMCCD, method=method), whole)
+
+
+def test_a_reel_holds_few_frames_of_a_long_movie(monkeypatch):
+    monkeypatch.setattr(reel, "PIECE_PIXELS", 4)
+    monkeypatch.setattr(reel, "HELD_PIXELS", 1)
+    read = []
+
+    def frames(first, last):
+        read.append((first, last))
+        return np.arange(first, last, dtype=np.float32)[:, None, None] + np.zeros((1, 1, 1), np.float32)
+
+    film = reel.Reel(frames, (99, 1, 1), reach=24)
+    assert [film[t][0, 0] for t in range(99)] == list(range(99))
+    assert len(film._held) == 12 and read[0] == (0, 4) and read[-1] == (96, 99) and len(read) == 25
+    assert film[96][0, 0] == 96 and len(read) == 25
+    assert film[5][0, 0] == 5 and read[-1] == (4, 8)

@@ -12,8 +12,10 @@ from scipy import stats
 
 from napari_mufasa import MufasaError, preset, simulate_emission
 from napari_mufasa.chance.streams import Streams
+from napari_mufasa.chance.variates import exponential, stream, uniform
 from napari_mufasa.photophysics.chain import Chain, Transition
-from napari_mufasa.photophysics.engines import Exposure, simulate_photons
+from napari_mufasa.photophysics.engines import Exposure, merge_bright_states, simulate_photons
+from napari_mufasa.photophysics.protocols import protocol_chain
 
 OVERALL = 1e-3  # false alarms of the whole comparison of the engines
 N = 6000
@@ -229,3 +231,85 @@ def test_a_molecule_without_light_stays_dark():
     model = preset("FF").with_values({"excitation.power_density_w_per_cm2": 0})
     assert not simulate_emission(model, 20, seed=1).any()
     assert not simulate_emission(model, 20, seed=1, engine="exact").any()
+
+
+def drawn(variate, random):
+    value, random = variate(np.uint64(random))
+    return value, np.uint64(random)
+
+
+def frame_by_frame(chain, drive, exposure, streams):
+    """The jump process written out, every wait drawn: photons at jumps, and the time in each state."""
+    total_rates = [chain.generator(0.0), chain.generator(1.0) - chain.generator(0.0)]
+    n = len(chain.states)
+    photons, stays = (
+        np.zeros((len(drive), exposure.light.size), np.int64),
+        np.zeros((len(drive), exposure.light.size, n)),
+    )
+    for m, own in enumerate(drive):
+        random = stream(streams.key("photophysics"), m, 0)
+        u, random = drawn(uniform, random)
+        state = int(np.searchsorted(np.cumsum(chain.start_vector()), u, side="right"))
+        for f, light in enumerate(exposure.light):
+            rates = np.maximum(total_rates[0] + own * light * total_rates[1], 0.0)
+            for left, seen in ((exposure.exposure_s, True), (exposure.dead_time_s, False)):
+                while left > 0:
+                    wait, random = drawn(exponential, random)
+                    wait = wait / rates[state].sum() if rates[state].any() else np.inf
+                    stays[m, f, state] += min(wait, left) * seen
+                    left -= wait
+                    if left <= 0:
+                        break
+                    u, random = drawn(uniform, random)
+                    state_before, state = state, int(np.searchsorted(np.cumsum(rates[state]), u * rates[state].sum()))
+                    if seen and chain.photon_matrix()[state_before, state] > 0:
+                        u, random = drawn(uniform, random)
+                        photons[m, f] += u < chain.photon_matrix()[state_before, state]
+    return photons, stays
+
+
+@pytest.mark.parametrize("dead_s", [0.0, 0.004])
+@pytest.mark.parametrize("light", [np.ones(40), np.repeat([1.0, 0.0, 0.5, 2.0], 10), np.linspace(0.5, 1.5, 40)])
+def test_passing_by_calm_frames_changes_nothing(dead_s, light):
+    """Both engines' loop against the jump process written out, photon by photon, on the same random numbers."""
+    chain = Chain(
+        ("NA", "S0", "S1", "T1"),
+        (
+            Transition("NA", "S0", 20.0),
+            Transition("S0", "S1", 100.0, driven=True),
+            Transition("S1", "S0", 2000.0, photon_probability=0.7),
+            Transition("S1", "T1", 400.0),
+            Transition("T1", "S0", 9.0),
+        ),
+        {"NA": 0.8, "S0": 0.2},
+    )
+    drive, exposure = np.linspace(0.2, 1.5, 12), Exposure(0.01, dead_s, light)
+    photons, _ = simulate_photons(chain, drive, exposure, Streams(5), "exact")
+    np.testing.assert_array_equal(photons, frame_by_frame(chain, drive, exposure, Streams(5))[0])
+    blinking = Chain(
+        ("S0", "S1", "T1"),
+        (
+            Transition("S0", "S1", 1e4, driven=True),
+            Transition("S1", "S0", 1e7, photon_probability=1.0),
+            Transition("S1", "T1", 8e3),
+            Transition("T1", "S0", 6.0),
+        ),
+        {"T1": 1.0},
+    )
+    merged, rates = merge_bright_states(blinking, 3.0)
+    _, expected = simulate_photons(blinking, drive, exposure, Streams(6), "fast")
+    lit = frame_by_frame(merged, drive, exposure, Streams(6))[1] @ rates
+    assert 0.1 < np.mean(lit > 0) < 0.9
+    np.testing.assert_allclose(expected, drive[:, None] * light * lit, rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("engine", ["fast", "exact"])
+def test_molecules_shared_by_workers_are_the_same(engine):
+    chain = protocol_chain(model_of("STORM"))
+    each = np.random.default_rng(1).uniform(0.5, 1.5, (50, 30)).astype(np.float32)
+    exposure = Exposure(0.01, 0.0, np.ones(30), each)
+    alone, shared = (
+        simulate_photons(chain, np.full(50, 0.02), exposure, Streams(7), engine, workers=n) for n in (1, 3)
+    )
+    assert alone[0].any()
+    np.testing.assert_array_equal(shared, alone)

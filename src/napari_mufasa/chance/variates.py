@@ -25,6 +25,8 @@ _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
 _SALT = np.uint64(0xD1B54A32D192ED03)
 _INVERSE = np.concatenate(([0.0], 1.0 / np.arange(1, 201)))  # a division per step would double the cost
+_LOG_FACTORIAL = np.array([math.lgamma(k + 1.0) for k in range(2048)])
+INVERTED = 30.0  # Poisson means up to here are drawn by inversion
 _TO_UNIT = 1.0 / 4503599627370496.0  # 2⁻⁵²: the largest uniform is below 1
 _ONE, _ROOT_HALF = np.float32(1.0), np.int32(0x3F3504F3)  # the second: √½ as bits
 _PER_REACH = np.float32(2.0 / 4.709640090068079)
@@ -52,6 +54,24 @@ def uniform(state):  # type: ignore[no-untyped-def]
     """Uniform in the open interval (0, 1)."""
     state = state + _GOLDEN
     return (np.float64(mix(state) >> np.uint64(12)) + 0.5) * _TO_UNIT, state
+
+
+@jit
+def limit(p):  # type: ignore[no-untyped-def]
+    """What `surely_below` compares with for a chance p (the last 1e-12 of it is left out)."""
+    return np.uint64(max(p - 1e-12, 0.0) * 18446744073709551616.0)
+
+
+@jit
+def surely_below(state, draw, p):  # type: ignore[no-untyped-def]
+    """Whether the uniform number `draw` (from 1) of a state is surely below a `limit`, without making it."""
+    return mix(state + np.uint64(draw) * _GOLDEN) < p
+
+
+@jit
+def skipped(state, draws):  # type: ignore[no-untyped-def]
+    """The state after so many draws."""
+    return state + np.uint64(draws) * _GOLDEN
 
 
 @jit
@@ -111,19 +131,34 @@ def poisson(mean, state):  # type: ignore[no-untyped-def]
     """Poisson: inversion below 30 (one uniform), transformed rejection above (Hörmann 1993)."""
     if mean <= 0.0:
         return 0, state
-    if mean < 30.0:
-        u, state = uniform(state)
-        k, p = 0, math.exp(-mean)
-        while u > p and k < 200:
-            u -= p
-            k += 1
-            p *= mean * _INVERSE[k]
-        return k, state
+    if mean < INVERTED:
+        return poisson_by_inversion(mean, math.exp(-mean), state)
+    return poisson_by_rejection(mean, rejection_of(mean), state)
+
+
+@jit
+def poisson_by_inversion(mean, none, state):  # type: ignore[no-untyped-def]
+    """For means below `INVERTED`; `none` is e^−mean."""
+    u, state = uniform(state)
+    k, p = 0, none
+    while u > p and k < 200:
+        u -= p
+        k += 1
+        p *= mean * _INVERSE[k]
+    return k, state
+
+
+@jit
+def rejection_of(mean):  # type: ignore[no-untyped-def]
+    """What `poisson_by_rejection` needs of a mean: a, b and the squeeze."""
     b = 0.931 + 2.53 * math.sqrt(mean)
-    a = -0.059 + 0.02483 * b
-    inverse_alpha = 1.1239 + 1.1328 / (b - 3.4)
-    squeeze = 0.9277 - 3.6224 / (b - 2.0)
-    log_mean = math.log(mean)
+    return -0.059 + 0.02483 * b, b, 0.9277 - 3.6224 / (b - 2.0)
+
+
+@jit
+def poisson_by_rejection(mean, shape, state):  # type: ignore[no-untyped-def]
+    """For means from `INVERTED` on; `shape` is `rejection_of` the mean."""
+    a, b, squeeze = shape
     while True:
         u, state = uniform(state)
         v, state = uniform(state)
@@ -134,7 +169,9 @@ def poisson(mean, state):  # type: ignore[no-untyped-def]
             return k, state
         if k < 0 or (us < 0.013 and v > us):
             continue
-        if math.log(v * inverse_alpha / (a / (us * us) + b)) <= k * log_mean - mean - math.lgamma(k + 1.0):
+        inverse_alpha = 1.1239 + 1.1328 / (b - 3.4)
+        log_factorial = _LOG_FACTORIAL[k] if k < _LOG_FACTORIAL.size else math.lgamma(k + 1.0)
+        if math.log(v * inverse_alpha / (a / (us * us) + b)) <= k * math.log(mean) - mean - log_factorial:
             return k, state
 
 

@@ -17,6 +17,8 @@ from napari_mufasa import checks
 from napari_mufasa.camera import readout
 from napari_mufasa.errors import Cancelled, MufasaError
 
+from .reel import Reel, block_frames
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 Method = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
-#: Frames read, denoised and written together, at most so many and so many pixels.
-BLOCK, BLOCK_PIXELS = 32, 2**25
 #: Frames whose pooled risk sets the weights of a movie.
 SAMPLES = 16
 #: Frames that settle how far the second pass goes.
@@ -53,9 +53,10 @@ def denoise(
     Parameters
     ----------
     movie : array (frame, y, x) or (y, x), ADU
-        numpy, dask or zarr; read in blocks of `BLOCK` frames (fewer above 1024 x 1024 pixels) and their neighbours.
-        Memory on top of the program's: about 200 float32 frames, at least 130 MB, and the result unless ``out``
-        is on disk.
+        numpy, dask or zarr; read in pieces of 32 frames, fewer above 512 x 512 pixels.
+        Memory on top of the program's does not grow with the number of frames: about 1.2 GB for frames of 1024 x 1024
+        pixels, in proportion for smaller ones (`python -m benchmarks.speed --only memory`), and the result unless
+        ``out`` is on disk.
     camera : Camera, optional
         Gain, read noise, baseline, quantum efficiency and maps. Without one they are measured on the movie and
         ``dark`` (`napari_mufasa.calibrate.measure`, an EMCCD assumed): say what you know with a camera of your own.
@@ -111,8 +112,8 @@ def denoised(
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    """`denoise`, block by block: (first frame of the block, photons (frame, y, x)) in order, for movies larger than
-    memory. Begins with the block that frame ``first`` lies in."""
+    """`denoise`, piece by piece: (first frame of the piece, photons (frame, y, x)) in order, for movies larger than
+    memory. Begins with the block of `block_frames` that frame ``first`` lies in."""
     checks.choice(method, "method", get_args(Method))
     from napari_mufasa.model.setup import Camera
 
@@ -126,17 +127,16 @@ def denoised(
     worker = _Frames(movie, camera, shape, method, excess_noise)
     worker.learn(cancel)
     size = block_frames(shape)
+    reel = Reel(worker.read, shape, worker.neighbours)
+    _stop_if(cancel)
     for start in range(first // size * size, shape[0], size):
-        _stop_if(cancel)
-        stop = min(start + size, shape[0])
-        yield start, cam.photons(worker.block(start, stop), camera)
-        if progress is not None:
-            progress(stop, shape[0])
-
-
-def block_frames(shape: tuple[int, ...]) -> int:
-    """Frames read, denoised and written together: `BLOCK`, fewer of large ones."""
-    return max(8, min(BLOCK, BLOCK_PIXELS // (shape[1] * shape[2])))
+        for begin, piece in worker.pieces(reel, start, min(start + size, shape[0])):
+            yield begin, piece
+            done = begin + len(piece)
+            if progress is not None:
+                progress(done, shape[0])
+            if done < shape[0]:
+                _stop_if(cancel)
 
 
 def measured_camera(movie: Any, dark: Any = None, cancel: Callable[[], bool] | None = None) -> Camera:
@@ -230,41 +230,61 @@ class _Frames:
         return patches.judge(part, noise, lambda y: applied(y, noise, LEVELS, False, self.learnt.weights))[0]
 
     def reach(self, start: int, stop: int) -> tuple[int, int]:
-        """The block with the neighbours that its frames look at."""
+        """The frames start … stop - 1 with the neighbours that they look at."""
         return max(0, start - self.neighbours), min(self.shape[0], stop + self.neighbours)
 
-    def block(self, start: int, stop: int) -> NDArray[np.float32]:
-        """Denoised photoelectrons of frames start … stop - 1."""
+    def pieces(self, reel: Reel, start: int, stop: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
+        """The block of frames start … stop - 1: (first frame of a piece, photons (frame, y, x)) in order."""
+        if self.method in ("none", "source"):
+            for begin in range(start, stop, reel.piece):
+                yield begin, self.recorded(begin, min(begin + reel.piece, stop))
+        else:
+            yield from self.worked(reel, start, stop, reel.piece)
+
+    def one(self, t: int) -> NDArray[np.float32]:
+        """Photons of a single frame, as if it were a block."""
+        if self.method in ("none", "source"):
+            return self.recorded(t, t + 1)[0]
+        first, last = self.reach(t, t + 1)
+        ((_, piece),) = self.worked(self.read(first, last), t - first, t - first + 1, 1)
+        return piece[0]
+
+    def recorded(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Photons of frames start … stop - 1 by the methods that know no neighbours and learn nothing."""
         if self.method == "none":
-            return self.read(start, stop)
-        if self.method == "source":
-            return source_recipe(np.asarray(self.movie[start:stop]), self.camera, start)
+            return cam.photons(self.read(start, stop), self.camera)
+        return cam.photons(source_recipe(np.asarray(self.movie[start:stop]), self.camera, start), self.camera)
+
+    def worked(self, data: Array | Reel, start: int, stop: int, size: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
+        """Photons of frames start … stop - 1 of ``data`` by the methods that learn, in pieces of ``size`` frames."""
         from . import patches
         from .purelet import LEVELS
         from .temporal import apply_frame, sights
 
-        first, last = self.reach(start, stop)
-        data = self.read(first, last)
-        out = np.empty((stop - start, *self.shape[1:]), np.float32)
-
-        def one(t: int, sight: Any) -> None:
-            sight = replace(sight, noise=self.noise(data[t]))
+        def one(sight: Any, room: Array) -> None:
+            sight = replace(sight, noise=self.noise(sight.frame))
             result = apply_frame(sight, LEVELS, self.learnt)
-            patched = patches.towards(data[t], result, sight.noise, self.way) if self.way > 0 else result
-            out[t + first - start] = patched
+            patched = patches.towards(sight.frame, result, sight.noise, self.way) if self.way > 0 else result
+            room[...] = cam.photons(patched, self.camera)
 
-        typical = self.noise(data[(start + stop) // 2 - first])
+        typical = self.noise(data[(start + stop) // 2])
         # The kernels release the interpreter: threads share the block's frames.
         with ThreadPoolExecutor(max_workers=min(WORKERS, stop - start)) as pool:
             work: deque[Any] = deque()
-            for t, sight in sights(data, start - first, stop - first, typical, self.neighbours):
-                work.append(pool.submit(one, t, sight))
+            pieces: deque[tuple[int, Array]] = deque()
+            for t, sight in sights(data, start, stop, typical, self.neighbours, size):
+                if (t - start) % size == 0:
+                    pieces.append((t, np.empty((min(size, stop - t), *self.shape[1:]), np.float32)))
+                begin, piece = pieces[-1]
+                work.append(pool.submit(one, sight, piece[t - begin]))
                 # What the past and future show of a frame is let go as soon as the frame is done.
-                if len(work) > 2 * WORKERS:
+                if len(work) > WORKERS + 1:
                     work.popleft().result()
+                while pieces and t + 1 - len(work) >= pieces[0][0] + len(pieces[0][1]):
+                    yield pieces.popleft()
             for done in work:
                 done.result()
-        return out
+            yield from pieces
 
 
 def part_of(camera: Camera, tile: tuple[slice, ...]) -> Camera:

@@ -9,6 +9,7 @@ the choice between them, next to a change, looks at the frame; the estimate leav
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,11 +17,12 @@ import numpy as np
 from napari_mufasa.compiled import inlined, vectorised
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
     from .noise import Noise
+    from .reel import Reel
 
     Array = NDArray[Any]
     #: Mean, number of frames and smoothed mean, each (y, x).
@@ -207,43 +209,64 @@ def _joined_row(
     return inverse_sum
 
 
-def walk(data: Array, order: Iterable[int], noise: Noise, most: int) -> Iterator[tuple[int, Array, Array, Array]]:
-    """For each frame of ``order`` but the first: mean, number of frames and smoothed mean of those walked before."""
-    variance = np.ascontiguousarray(np.broadcast_to(noise.variance, data.shape[1:]), np.float32)
-    mean = number = None
-    last: list[Array] = []
-    for t in order:
-        y = data[t]
-        last = [y, *last][:RECENT]
-        if mean is None or number is None:
-            mean, number = y, np.ones_like(y)
-            continue
-        before, earlier = last[min(1, len(last) - 1)], last[-1]
-        s_mean, new_mean, new_number = _step(
-            y, before, earlier, len(last), mean, number, variance, noise.alpha, float(most)
+@dataclass
+class Walk:
+    """What the frames met so far show; ``most`` of them count at most. No array is changed once it is there.
+
+    ``variance`` (y, x) and ``alpha`` are those of their noise.
+    """
+
+    variance: Array
+    alpha: float
+    most: int
+    mean: Array | None = None
+    number: Array | None = None
+    #: The last frames met, the latest first.
+    last: tuple[Array, ...] = ()
+
+    def meet(self, y: Array) -> Side | None:
+        """What was shown before frame ``y`` (y, x), nothing before the first one; from then on ``y`` counts too."""
+        seen = (y, *self.last)[:RECENT]
+        self.last = seen[: RECENT - 1]
+        if self.mean is None or self.number is None:
+            self.mean, self.number = y, np.ones_like(y)
+            return None
+        before, earlier = seen[min(1, len(seen) - 1)], seen[-1]
+        mean, number = self.mean, self.number
+        smoothed, self.mean, self.number = _step(
+            y, before, earlier, len(seen), mean, number, self.variance, self.alpha, float(self.most)
         )
-        yield t, mean, number, s_mean
-        mean, number = new_mean, new_number
+        return mean, number, smoothed
 
 
 def past_and_future(
-    data: Array, first: int, stop: int, noise: Noise, most: int
+    data: Array | Reel, first: int, stop: int, noise: Noise, most: int, piece: int | None = None
 ) -> Iterator[tuple[int, Side | None, Side | None]]:
     """For the frames first … stop - 1 of ``data``: what their past and their future show, where they have one.
 
-    ``most`` frames on either side count at most; ``data`` should reach that far.
+    ``most`` frames on either side count at most; ``data`` should reach that far. The futures of ``piece`` frames (None:
+    of all) are held at once: the walk back through all of them comes first and leaves a mark at the end of each piece,
+    from which it is taken up again.
     """
-    end, start = min(data.shape[0], stop + most), max(0, first - most)
-    future = {t: side for t, *side in walk(data, range(end - 1, first - 1, -1), noise, most) if t < stop}
-    if start == first:
-        yield first, None, _side(future.pop(first, None))
-    for t, *past in walk(data, range(start, stop), noise, most):
-        if t >= first:
-            yield t, _side(past), _side(future.pop(t, None))
-
-
-def _side(found: list[Array] | None) -> Side | None:
-    return None if found is None else (found[0], found[1], found[2])
+    size = piece or stop - first
+    pieces = [(a, min(a + size, stop)) for a in range(first, stop, size)]
+    variance = np.ascontiguousarray(np.broadcast_to(noise.variance, data.shape[1:]), np.float32)
+    ahead, back = Walk(variance, noise.alpha, most), Walk(variance, noise.alpha, most)
+    marks = []
+    t = min(data.shape[0], stop + most)
+    for _, end in reversed(pieces):
+        while t > end:
+            t -= 1
+            back.meet(data[t])
+        marks.append(replace(back))
+    for t in range(max(0, first - most), first):
+        ahead.meet(data[t])
+    for begin, end in pieces:
+        back = marks.pop()
+        futures = [back.meet(data[t]) for t in range(end - 1, begin - 1, -1)]
+        del back
+        for t in range(begin, end):
+            yield t, ahead.meet(data[t]), futures.pop()
 
 
 def shown(frame: Array, past: Side | None, future: Side | None, noise: Noise, trust: float) -> tuple[Array, float]:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from .reel import Reel
     from .still import Side
 
     Array = NDArray[Any]
@@ -83,14 +84,17 @@ class Sight:
         return float(np.mean(here_1**2 - here_0**2 - 2.0 * gained))
 
 
-def sights(data: Array, first: int, stop: int, noise: Noise, neighbours: int) -> Iterator[tuple[int, Sight]]:
-    """The frames first … stop - 1 of ``data``, which should hold ``neighbours`` more on either side."""
+def sights(
+    data: Array | Reel, first: int, stop: int, noise: Noise, neighbours: int, piece: int | None = None
+) -> Iterator[tuple[int, Sight]]:
+    """The frames first … stop - 1 of ``data``, which should hold ``neighbours`` more on either side; ``piece`` as for
+    `past_and_future`."""
     n = data.shape[0]
     if neighbours <= 0 or n < 2:
         for t in range(first, stop):
             yield t, Sight(data[t], noise, [])
         return
-    for t, past, future in past_and_future(data, first, stop, noise, neighbours):
+    for t, past, future in past_and_future(data, first, stop, noise, neighbours, piece):
         beside = [data[k] for k in (t - 1, t + 1) if 0 <= k < n]
         yield t, Sight(data[t], noise, beside, past, future)
 

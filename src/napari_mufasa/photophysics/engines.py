@@ -8,7 +8,10 @@ times of all slow states stay event by event. The error of the merge is O(k01/k1
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -35,7 +38,7 @@ class Exposure:
 
 def simulate_photons(
     chain: Chain, drive: NDArray[np.float64], exposure: Exposure, streams: Streams, engine: Engine,
-    population: str = "",
+    population: str = "", workers: int = 1,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:  # fmt: skip
     """Photons emitted by each molecule in each frame, and how many were expected of its time in the light.
 
@@ -46,6 +49,7 @@ def simulate_photons(
     exposure : frame timing and relative light per frame
     streams : every molecule draws from a stream of its own
     population : names the molecules' streams where another population has those without a name
+    workers : threads that share the molecules; the result does not hang on them
     engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, where k01/k10 > 10⁻², a frame
         is shorter than 100 lifetimes, or the chain has no single emitting transition
 
@@ -65,9 +69,9 @@ def simulate_photons(
             warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
         else:
             bright_chain, photon_rates = merged
-            expected, _ = _run(bright_chain, photon_rates, drive, exposure, streams, population)
-            return _poisson(expected, streams, population), expected
-    _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, streams, population)
+            expected, _ = _run(bright_chain, photon_rates, drive, exposure, streams, population, workers)
+            return _poisson(expected, streams, population, workers), expected
+    _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, streams, population, workers)
     return photons, photons.astype(np.float64)
 
 
@@ -115,30 +119,45 @@ def _run(
     exposure: Exposure,
     streams: Streams,
     population: str,
+    workers: int = 1,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Expected photons from the time spent in emitting states, and photons counted at jumps."""
-    expected: NDArray[np.float64]
-    photons: NDArray[np.int64]
     from napari_mufasa.photophysics.kernels import run
 
-    expected, photons = run(
-        chain.matrix(driven=True),
-        chain.matrix(driven=False),
-        chain.photon_matrix(),
-        photon_rates,
-        np.cumsum(chain.start_vector()),
-        np.ascontiguousarray(drive, dtype=np.float64),
-        np.ascontiguousarray(exposure.light, dtype=np.float64),
-        np.empty((0, 0), np.float32) if exposure.of_each is None else np.ascontiguousarray(exposure.of_each),
-        float(exposure.exposure_s),
-        float(exposure.dead_time_s),
-        streams.key(population + "photophysics"),
-    )
+    drive = np.ascontiguousarray(drive, dtype=np.float64)
+    light = np.ascontiguousarray(exposure.light, dtype=np.float64)
+    each = np.empty((0, 0), np.float32) if exposure.of_each is None else np.ascontiguousarray(exposure.of_each)
+    # Zeros that are never written take no memory.
+    expected = np.zeros((drive.size, light.size))
+    photons = np.zeros((drive.size, light.size), np.int64)
+    rates = chain.matrix(driven=True), chain.matrix(driven=False), chain.photon_matrix(), photon_rates
+    start, key = np.cumsum(chain.start_vector()), streams.key(population + "photophysics")
+    times = float(exposure.exposure_s), float(exposure.dead_time_s)
+
+    def part(rows: slice) -> None:
+        own = each[rows] if each.size else each
+        run(*rates, start, drive[rows], light, own, *times, key, rows.start, expected[rows], photons[rows])
+
+    _in_parts(part, drive.size, workers)
     return expected, photons
 
 
-def _poisson(expected: NDArray[np.float64], streams: Streams, population: str) -> NDArray[np.int64]:
+def _poisson(expected: NDArray[np.float64], streams: Streams, population: str, workers: int = 1) -> NDArray[np.int64]:
     from napari_mufasa.photophysics.kernels import draw
 
-    photons: NDArray[np.int64] = draw(expected, streams.key(population + "emission"))
+    key = streams.key(population + "emission")
+    photons = np.zeros(expected.shape, np.int64)
+    _in_parts(lambda rows: draw(expected[rows], key, rows.start, photons[rows]), len(expected), workers)
     return photons
+
+
+def _in_parts(work: Callable[[slice], None], n_molecules: int, workers: int) -> None:
+    """Do the work on equal parts of the molecules, one thread for each; every molecule has its own streams."""
+    edges = [n_molecules * i // workers for i in range(workers + 1)]
+    parts = [slice(a, b) for a, b in pairwise(edges) if b > a]
+    if len(parts) < 2:
+        for rows in parts:
+            work(rows)
+        return
+    with ThreadPoolExecutor(len(parts)) as pool:
+        list(pool.map(work, parts))

@@ -5,35 +5,70 @@ Import this module only where photons are simulated: it needs numba.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from napari_mufasa.chance.variates import exponential, poisson, stream, uniform
+from napari_mufasa.chance.variates import (
+    INVERTED,
+    exponential,
+    limit,
+    poisson_by_inversion,
+    poisson_by_rejection,
+    rejection_of,
+    skipped,
+    stream,
+    surely_below,
+    uniform,
+)
 
 compiled: Any = njit(cache=True, nogil=True)
 
 
 @compiled
-def run(driven, undriven, photon_probability, photon_rate, start, drive, light, of_each, exposure_s, dead_s, key):  # type: ignore[no-untyped-def]
+def run(  # type: ignore[no-untyped-def]
+    driven, undriven, photon_probability, photon_rate, start, drive, light, of_each, exposure_s, dead_s, key, first,
+    expected, photons,
+):  # fmt: skip
+    """Follow molecules `first`, `first` + 1 …, one for each value of `drive`, into rows of `expected` and `photons`
+    (molecule, frame) that are zero."""
     n_states = driven.shape[0]
-    n_molecules, n_frames = drive.size, light.size
-    expected = np.zeros((n_molecules, n_frames))
-    photons = np.zeros((n_molecules, n_frames), dtype=np.int64)
-    for m in range(n_molecules):
-        random = stream(key, m, 0)
+    n_frames = light.size
+    course = np.empty(n_frames)
+    draws = 2 if dead_s > 0.0 else 1
+    for m in range(drive.size):
+        random = stream(key, first + m, 0)
         u, random = uniform(random)
         state = 0
         while state < n_states - 1 and u >= start[state]:
             state += 1
-        absorbed = False
         for f in range(n_frames):
-            if absorbed:
-                break
-            relative = drive[m] * light[f]
-            if of_each.size > 0:
-                relative *= of_each[m, f]
+            course[f] = drive[m] * light[f]
+        if of_each.size > 0:
+            for f in range(n_frames):
+                course[f] *= of_each[m, f]
+        absorbed = False
+        f = 0
+        while f < n_frames and not absorbed:
+            relative = course[f]
+            total = 0.0
+            for s in range(n_states):
+                total += relative * driven[state, s] + undriven[state, s]
+            # 1 − x < e^−x: a uniform below it makes a wait that outlasts the segment. So most frames end.
+            in_light, in_dead = limit(1.0 - total * exposure_s), limit(1.0 - total * dead_s)
+            calm = f
+            while calm < n_frames and course[calm] == relative and surely_below(random, 1, in_light):
+                if draws == 2 and not surely_below(random, 2, in_dead):
+                    break
+                random = skipped(random, draws)
+                calm += 1
+            if photon_rate[state] * relative > 0.0:
+                expected[m, f:calm] = photon_rate[state] * relative * exposure_s
+            f = calm
+            if f == n_frames or course[f] != relative:
+                continue
             # Rates are constant within a segment and exponential waits have no memory, so a wait
             # that crosses the segment's end is simply drawn anew from there.
             for segment in range(2):
@@ -45,7 +80,7 @@ def run(driven, undriven, photon_probability, photon_rate, start, drive, light, 
                     wait, random = exponential(random)
                     wait = wait / total if total > 0.0 else np.inf
                     stay = min(wait, left)
-                    if segment == 0:
+                    if segment == 0 and photon_rate[state] > 0.0:
                         expected[m, f] += photon_rate[state] * relative * stay
                     left -= stay
                     if wait > stay or total == 0.0:
@@ -73,13 +108,24 @@ def run(driven, undriven, photon_probability, photon_rate, start, drive, light, 
                         break
                 if absorbed:
                     break
-    return expected, photons
+            f += 1
 
 
 @compiled
-def draw(expected, key):  # type: ignore[no-untyped-def]
-    photons = np.empty(expected.shape, dtype=np.int64)
+def draw(expected, key, first, photons):  # type: ignore[no-untyped-def]
+    """Poisson counts of `expected` (molecule, frame) into `photons`, which are zero; rows are `first`, `first` + 1 …"""
+    mean, none, shape = 0.0, 1.0, (0.0, 0.0, 0.0)
     for m in range(expected.shape[0]):
         for f in range(expected.shape[1]):
-            photons[m, f], _ = poisson(expected[m, f], stream(key, m, f))
-    return photons
+            if expected[m, f] <= 0.0:
+                continue
+            # A molecule in the light all along has the same mean in every frame.
+            changed, mean = expected[m, f] != mean, expected[m, f]
+            if mean < INVERTED:
+                if changed:
+                    none = math.exp(-mean)
+                photons[m, f], _ = poisson_by_inversion(mean, none, stream(key, first + m, f))
+            else:
+                if changed:
+                    shape = rejection_of(mean)
+                photons[m, f], _ = poisson_by_rejection(mean, shape, stream(key, first + m, f))

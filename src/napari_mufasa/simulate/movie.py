@@ -60,8 +60,10 @@ class SimulatedAcquisition:
         positions_px: NDArray[np.floating] | None = None,
         seed: int = 0,
         engine: Engine = "fast",
+        workers: int = 1,
     ) -> None:
         _check(model)
+        checks.whole(workers, "workers", 1, 1024)
         checks.choice(engine, "engine", get_args(Engine))
         streams = Streams(seed)
         if positions_px is None:
@@ -70,7 +72,7 @@ class SimulatedAcquisition:
         self.model = model
         self.seed = seed
         self.scene: Scene = build_scene(model, positions, streams)
-        self.emission, expected = _emit(self.scene, engine)
+        self.emission, expected = _emit(self.scene, engine, workers)
         self.photons = _imaged(self.emission, expected, model.optics.emission_noise)
 
     @property
@@ -145,7 +147,7 @@ def simulate(
         6 * n_frames * height * width, f"a movie of {n_frames} × {height} × {width} px",
         "take fewer frames, or stream it: napari-mufasa simulate, or SimulatedAcquisition.blocks",
     )  # fmt: skip
-    acquisition = SimulatedAcquisition(model, positions_px, seed, engine)
+    acquisition = SimulatedAcquisition(model, positions_px, seed, engine, workers)
     shape = (acquisition.n_frames, *acquisition.scene.shape_px)
     optical = np.empty(shape, dtype=np.float32)
     movie = np.empty(shape, dtype=np.uint16)
@@ -202,7 +204,7 @@ def _check(model: Model, n_molecules: int | None = None) -> None:
     checks.affordable(40 * height * width, f"a frame of {height} × {width} px", "take a smaller field")
 
 
-def _emit(scene: Scene, engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _emit(scene: Scene, engine: Engine, workers: int = 1) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Photons emitted and expected (molecule, frame), one population of molecules after the other."""
     timing = scene.setup.acquisition
     dead_time_s = timing.interval_s - timing.frame_length_s
@@ -213,7 +215,7 @@ def _emit(scene: Scene, engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.f
         rows = slice(start, start + kind.n_molecules)
         start = rows.stop
         exposure = Exposure(timing.frame_length_s, dead_time_s, scene.light, None if each is None else each[rows])
-        emitted.append(simulate_photons(kind.chain, drive[rows], exposure, scene.streams, engine, kind.name))
+        emitted.append(simulate_photons(kind.chain, drive[rows], exposure, scene.streams, engine, kind.name, workers))
     if len(emitted) == 1:
         return emitted[0]
     return np.concatenate([n for n, _ in emitted]), np.concatenate([expected for _, expected in emitted])
