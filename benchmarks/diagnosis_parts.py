@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.blind.generator import base_model, make
 
 import napari_mufasa as nm
 from benchmarks.pages import header, row
@@ -32,7 +33,6 @@ from napari_mufasa.observe.pixels import pixel_statistics
 from napari_mufasa.simulate.movie import simulate, simulate_dark
 from napari_mufasa.spots.follow import find_and_follow
 from napari_mufasa.traces.dynamics import dynamics
-from tests.blind.generator import base_model, make
 
 ROOT = Path(__file__).resolve().parents[1]
 ROUNDS = 12

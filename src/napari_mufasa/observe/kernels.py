@@ -10,6 +10,7 @@ import numpy as np
 
 from napari_mufasa.compiled import inlined, vectorised
 from napari_mufasa.observe.table import COMB
+from napari_mufasa.spots.kernels import blurred
 
 NONE_YET = -1e300
 ROW = 1048  # numbers from one row of scratch to the next: known when compiled, so that compilers see the rows apart
@@ -154,3 +155,45 @@ def add_line(counts, mine, down):  # type: ignore[no-untyped-def]
         down[x] = np.uint32(down[x] + v)
         total = np.uint32(total + v)
     return total
+
+
+@vectorised
+def line_noise(sums, labels, count):  # type: ignore[no-untyped-def]
+    """Variance of line means about frame and line means, each times its number of pixels, of the sums (part, frame,
+    line) of some parts; lines of fewer than four pixels do not count."""
+    n = sums.shape[1]
+    lines = np.flatnonzero(count >= 4)
+    if lines.size == 0 or n < 3:
+        return 0.0
+    means = np.zeros((n, lines.size))
+    for t in range(n):
+        for part in labels:
+            for i in range(lines.size):
+                means[t, i] += sums[part, t, lines[i]]
+        for i in range(lines.size):
+            means[t, i] /= count[lines[i]]
+    steady, squares = np.zeros(lines.size), np.zeros(lines.size)
+    for t in range(n):
+        steady += means[t] / n
+    for t in range(n):
+        about = means[t] - steady
+        squares += (about - about.mean()) ** 2
+    return (squares / n * count[lines]).mean()
+
+
+@vectorised
+def blur(maps, weights, rows, columns):  # type: ignore[no-untyped-def]
+    """Maps (map, y, x) blurred by half of symmetric weights (centre first); rows, columns: see `spots.spot_filter`."""
+    n, height, width = maps.shape
+    margin = weights.size - 1
+    result = np.empty(maps.shape)
+    shape = (rows.size, columns.size)
+    field, across, down = np.empty(shape), np.zeros(shape), np.zeros(shape)
+    for i in range(n):
+        for y in range(rows.size):
+            for x in range(columns.size):
+                field[y, x] = maps[i, rows[y], columns[x]]
+        blurred(field.ravel(), weights, 1, across.ravel())
+        blurred(across.ravel(), weights, columns.size, down.ravel())
+        result[i] = down[margin : margin + height, margin : margin + width]
+    return result
