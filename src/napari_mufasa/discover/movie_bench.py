@@ -19,7 +19,7 @@ from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import DarkView, Observation, observe, view_dark
-from napari_mufasa.simulate.movie import simulate, simulate_dark
+from napari_mufasa.simulate.movie import SimulatedAcquisition, simulate_dark
 
 CAMERA_STAGE = "camera"
 MATCHING_SEED = 10_000
@@ -56,7 +56,7 @@ class MovieBench(Bench[Observation]):
         super().__init__(measurement.model, measured, seed, notes, progress, cancel)
 
     def simulated(self, model: Model, seed: int) -> Observation:
-        movie = simulate(model, seed=seed).movie
+        movie = SimulatedAcquisition(model, seed=seed).movie()
         dark = None if self.measurement.dark is None else self._dark_view(model, seed)
         return observe(movie, self._eyes, dark)
 

@@ -14,6 +14,7 @@ from napari_mufasa.observe.pixels import PixelStatistics
 from napari_mufasa.observe.summary import BINS, Part
 from napari_mufasa.observe.table import COMB, Table
 from napari_mufasa.spots.follow import Spots
+from napari_mufasa.spots.quantiles import quantiles
 
 Array = NDArray[np.float64]
 SMOOTH_PX = 2.0  # what varies over more than this is no pattern of pixels
@@ -30,43 +31,44 @@ def background(
     scale: float,
 ) -> None:
     """Observables of pixels away from spots; `scale` is photoelectrons per ADU."""
-    mask = np.isin(label, part.labels)
-    area = max(int(mask.sum()), 1)
+    mask = part.holds(label)
+    at = np.flatnonzero(mask)
+    area = max(at.size, 1)
     rows = pixels.row_sum[list(part.labels)].sum(axis=0) * scale  # (frame, y)
     course = rows.sum(axis=1) / area
     mean = pixels.mean * scale
     variance = pixels.step_variance.sum(axis=0) / 2 * scale**2
     table.add("background", course.mean(), "background", "e⁻", "background pixels")
-    table.log("background_variance", _over(variance, mask), "variance of background pixels", "background pixels")
+    table.log("background_variance", _over(variance, at), "variance of background pixels", "background pixels")
     table.add(
-        "background_skewness", _over(pixels.skewness, mask), "skewness of background pixels", "", "background pixels"
+        "background_skewness", _over(pixels.skewness, at), "skewness of background pixels", "", "background pixels"
     )
     half = pixels.step_variance * scale**2
     table.log(
         "background_time_variance",
-        _over(half[1], mask) / max(_over(half[0], mask), 1e-9),
+        _over(half[1], at) / max(_over(half[0], at), 1e-9),
         "variance, second half / first",
         "background pixels",
     )
     _courses(table, course, spots, part)
     _map(table, mean, mask)
-    _transfer(table, mean, variance, mask, (label == 0) & np.isin(tiles, part.labels))
-    spread = _over(pixels.variance, mask) or np.nan  # a small field may have no background pixel
+    _transfer(table, mean, variance, at, (label == 0) & part.holds(tiles))
+    spread = _over(pixels.variance, at) or np.nan  # a small field may have no background pixel
     table.add(
         "pixel_lag_1",
-        _over(pixels.lag1, mask) / spread,
+        _over(pixels.lag1, at) / spread,
         "correlation with the last frame",
         "",
         "background pixels",
     )
     table.add(
         "pixel_lag_2",
-        _over(pixels.lag2, mask) / spread,
+        _over(pixels.lag2, at) / spread,
         "correlation two frames apart",
         "",
         "background pixels",
     )
-    inner = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1]
+    inner = np.flatnonzero(mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1])
     table.add(
         "neighbour_right", _over(pixels.right, inner) / spread, "noise correlation along a row", "", "background pixels"
     )
@@ -77,22 +79,28 @@ def background(
         "",
         "background pixels",
     )
-    sensor(table, pixels, mask, part, "")
+    sensor(table, pixels, mask, at, part, "")
 
 
-def sensor(table: Table, pixels: PixelStatistics, mask: NDArray[np.bool_], part: Part, prefix: str) -> None:
-    """Patterns and outliers of the sensor, in the light or (prefix "dark_") in dark frames."""
+def sensor(
+    table: Table, pixels: PixelStatistics, mask: NDArray[np.bool_], at: NDArray[np.int64], part: Part, prefix: str
+) -> None:
+    """Patterns and outliers of the sensor under a mask (y, x), whose flat pixels are `at`; in the light or (prefix
+    "dark_") in dark frames."""
+    from napari_mufasa.observe.kernels import line_noise
+
     where = "dark frames" if prefix else "background pixels"
     n = pixels.n_frames
     noise = pixels.step_variance.sum(axis=0) / 2
-    spread = max(_over(noise, mask), 1e-9)
-    weight = np.maximum(ndimage.gaussian_filter(mask.astype(float), SMOOTH_PX), 1e-3)
-    high = pixels.mean - _masked_smooth(pixels.mean, mask, weight)
+    spread = max(_over(noise, at), 1e-9)
+    weight, slow_mean, slow_noise = _smooth(np.stack([mask, pixels.mean * mask, noise * mask]))
+    weight = np.maximum(weight, 1e-3)
+    high = pixels.mean - slow_mean / weight
     core = np.clip(high, -6 * np.sqrt(spread / n), 6 * np.sqrt(spread / n))
-    table.log(f"{prefix}pixel_pattern", _over(core**2, mask) / (spread / n), "fixed pattern / noise", where)
-    deviation = noise - _masked_smooth(noise, mask, weight)
+    table.log(f"{prefix}pixel_pattern", _over(core**2, at) / (spread / n), "fixed pattern / noise", where)
+    deviation = noise - slow_noise / weight
     table.add(
-        f"{prefix}pixel_gain", _correlation(high, deviation, mask), "pattern that comes with its own noise", "", where
+        f"{prefix}pixel_gain", _correlation(high, deviation, at), "pattern that comes with its own noise", "", where
     )
     for axis, name in ((0, "column"), (1, "row")):
         table.log(
@@ -101,21 +109,23 @@ def sensor(table: Table, pixels: PixelStatistics, mask: NDArray[np.bool_], part:
             f"fixed {name} pattern / noise",
             where,
         )
-    rows = _line_noise(pixels.row_sum, mask.sum(axis=1), part)
-    columns = _line_noise(pixels.column_sum, mask.sum(axis=0), part)
+    rows = line_noise(pixels.row_sum, np.array(part.labels), mask.sum(axis=1))
+    columns = line_noise(pixels.column_sum, np.array(part.labels), mask.sum(axis=0))
     table.log(f"{prefix}row_noise", rows / spread, "row noise / pixel noise", where)
     table.log(f"{prefix}column_noise", columns / spread, "column noise / pixel noise", where)
     table.count(
         f"{prefix}narrow_bright",
-        float((mask & (high > 7 * np.sqrt(spread / n))).sum()),
+        float(np.count_nonzero(high.take(at) > 7 * np.sqrt(spread / n))),
         "bright single pixels that stay",
         where,
     )
     jump = np.where(mask, pixels.peak - np.maximum(pixels.second, pixels.mean), 0.0) / np.sqrt(spread)
-    table.count(f"{prefix}single_frame_outliers", float((jump > 8).sum()), "single bright pixels in one frame", where)
+    table.count(
+        f"{prefix}single_frame_outliers", float(np.count_nonzero(jump > 8)), "single bright pixels in one frame", where
+    )
     table.log(
         f"{prefix}single_frame_largest",
-        float(np.sort(jump, axis=None)[-3:].mean()),
+        float(np.sort(np.partition(jump, -3, axis=None)[-3:]).mean()),
         "size of the three largest, in noise",
         where,
         1e-3,
@@ -129,17 +139,18 @@ def dark(
     table: Table, pixels: PixelStatistics, label: NDArray[np.int8], part: Part, scale: float, n_frames: int
 ) -> None:
     """Observables of dark frames."""
-    mask = np.isin(label, part.labels)
-    area = max(int(mask.sum()), 1)
+    mask = part.holds(label)
+    at = np.flatnonzero(mask)
+    area = max(at.size, 1)
     course = pixels.row_sum[list(part.labels)].sum(axis=(0, 2)) * scale / area
     variance = pixels.step_variance.sum(axis=0) / 2 * scale**2
     table.add("dark_mean", course.mean() / scale, "mean of dark frames above the baseline", "ADU", "dark frames")
-    table.log("dark_variance", _over(variance, mask), "variance of dark frames", "dark frames")
-    table.add("dark_skewness", _over(pixels.skewness, mask), "skewness of dark frames", "", "dark frames")
+    table.log("dark_variance", _over(variance, at), "variance of dark frames", "dark frames")
+    table.add("dark_skewness", _over(pixels.skewness, at), "skewness of dark frames", "", "dark frames")
     table.add(
         "dark_tail",
         np.log1p(
-            _over(np.maximum(pixels.peak - pixels.mean, 0), mask) / np.sqrt(max(_over(variance, mask) / scale**2, 1e-9))
+            _over(np.maximum(pixels.peak - pixels.mean, 0), at) / np.sqrt(max(_over(variance, at) / scale**2, 1e-9))
         ),
         "brightest dark count of a pixel, in noise",
         "ln",
@@ -153,7 +164,7 @@ def dark(
         "ADU",
         "dark frames",
     )
-    sensor(table, pixels, mask, part, "dark_")
+    sensor(table, pixels, mask, at, part, "dark_")
 
 
 def _courses(table: Table, course: Array, spots: Spots, part: Part) -> None:
@@ -253,42 +264,46 @@ def _map(table: Table, mean: Array, mask: NDArray[np.bool_]) -> None:
     table.log("background_map_rest", rest + 1e-7, "background unevenness² beyond tilt and bow", where)
 
 
-def _transfer(table: Table, mean: Array, variance: Array, mask: NDArray[np.bool_], spot: NDArray[np.bool_]) -> None:
+def _transfer(table: Table, mean: Array, variance: Array, at: NDArray[np.int64], spot: NDArray[np.bool_]) -> None:
     """Variance over mean at three light levels: the photon-transfer curve."""
     table.log(
         "photon_transfer_low",
-        _over(variance, mask) / max(_over(mean, mask), 1e-6),
+        _over(variance, at) / max(_over(mean, at), 1e-6),
         "variance/mean, background",
         "photon transfer",
     )
-    values = mean[spot]
-    if values.size < 30:
-        middle = top = float("nan")
-    else:
-        edges = np.quantile(values, [0.6, 0.9])
-        middle_mask = spot & (mean > edges[0]) & (mean <= edges[1])
-        top_mask = spot & (mean > edges[1])
-        middle, top = (_over(variance, m) / max(_over(mean, m), 1e-6) for m in (middle_mask, top_mask))
+    bright = np.flatnonzero(spot)
+    values = mean.take(bright)
+    middle = top = peak = float("nan")
+    if values.size >= 30:
+        low, high, upper, highest = quantiles(values, [0.6, 0.9, 0.8, 0.99])
+        middle_at, top_at = bright[(values > low) & (values <= high)], bright[values > high]
+        middle, top = (_over(variance, m) / max(_over(mean, m), 1e-6) for m in (middle_at, top_at))
+        peak = float(highest / max(upper, 1e-6))
     table.log("photon_transfer_middle", middle, "variance/mean, spots", "photon transfer")
     table.log("photon_transfer_top", top, "variance/mean, brightest tenth of spot pixels", "photon transfer")
-    peak = np.quantile(values, 0.99) / max(np.quantile(values, 0.8), 1e-6) if values.size >= 30 else float("nan")
-    table.log("peak_quantile", float(peak), "brightest pixels / bright pixels", "spot pixels")
+    table.log("peak_quantile", peak, "brightest pixels / bright pixels", "spot pixels")
 
 
-def _over(values: Array, mask: NDArray[np.bool_]) -> float:
-    return float(values[mask].mean()) if mask.any() else 0.0
+def _over(values: Array, at: NDArray[np.int64]) -> float:
+    """Mean over flat pixels; 0 where there are none."""
+    return float(values.take(at).mean()) if at.size else 0.0
 
 
-def _masked_smooth(values: Array, mask: NDArray[np.bool_], weight: Array) -> Array:
-    result: Array = ndimage.gaussian_filter(np.where(mask, values, 0.0), SMOOTH_PX) / weight
+def _smooth(maps: Array) -> Array:
+    """Maps (map, y, x) blurred by a Gaussian of `SMOOTH_PX`."""
+    from napari_mufasa.observe.kernels import blur
+
+    weights = np.exp(-0.5 * (np.arange(int(4 * SMOOTH_PX) + 1) / SMOOTH_PX) ** 2)
+    rows, columns = (np.pad(np.arange(n), len(weights) - 1, mode="symmetric") for n in maps.shape[1:])
+    result: Array = blur(maps, weights / (2 * weights.sum() - weights[0]), rows, columns)
     return result
 
 
-def _correlation(a: Array, b: Array, mask: NDArray[np.bool_]) -> float:
-    if mask.sum() < 10:
+def _correlation(a: Array, b: Array, at: NDArray[np.int64]) -> float:
+    if at.size < 10:
         return 0.0
-    u, v = a[mask], b[mask]
-    u, v = np.clip(u, *np.quantile(u, [0.01, 0.99])), np.clip(v, *np.quantile(v, [0.01, 0.99]))
+    u, v = (np.clip(x, *quantiles(x, [0.01, 0.99])) for x in (a.take(at), b.take(at)))
     u, v = u - u.mean(), v - v.mean()
     return float((u * v).mean() / max(u.std() * v.std(), 1e-12))
 
@@ -299,14 +314,3 @@ def _line_pattern(high: Array, mask: NDArray[np.bool_], axis: int) -> float:
     ok = count >= 4
     line = (high * mask).sum(axis=axis)[ok] / count[ok]
     return float((line**2 * count[ok]).mean()) if ok.any() else 0.0
-
-
-def _line_noise(sums: Array, count: NDArray[np.int64], part: Part) -> float:
-    """Variance of line means about frame and line means, each times its number of pixels."""
-    total = sums[list(part.labels)].sum(axis=0)
-    ok = count >= 4
-    if not ok.any() or len(total) < 3:
-        return 0.0
-    line = total[:, ok] / count[ok]
-    line = line - line.mean(axis=0) - (line - line.mean(axis=0)).mean(axis=1, keepdims=True)
-    return float(((line**2).mean(axis=0) * count[ok]).mean())

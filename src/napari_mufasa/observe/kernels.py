@@ -10,87 +10,190 @@ import numpy as np
 
 from napari_mufasa.compiled import inlined, vectorised
 from napari_mufasa.observe.table import COMB
+from napari_mufasa.spots.kernels import blurred
 
 NONE_YET = -1e300
-
-
-@inlined
-def rank(now, t, peak, at, second):  # type: ignore[no-untyped-def]
-    """Take frame t of a row into its largest values and the next largest; neither next to the other in time."""
-    for x in range(now.size):
-        v, top = now[x], peak[x]
-        apart = t - at[x] > 1.0
-        overtaken = top if apart or at[x] == 0.0 else NONE_YET
-        beside = v if apart else NONE_YET
-        second[x] = max(second[x], overtaken if v > top else beside)
-        peak[x] = max(top, v)
-        at[x] = t if v > top else at[x]
+ROW = 1048  # numbers from one row of scratch to the next: known when compiled, so that compilers see the rows apart
+BEFORE = 2  # frames before those at once, for lags
+AT_ONCE = 4  # frames: sums are then read and written a quarter as often
 
 
 @vectorised
 def in_time(movie, baseline):  # type: ignore[no-untyped-def]
-    """Row by row through all frames, so that a row's sums stay close to the processor."""
+    """Sums over frames of every pixel, row by row, so that they stay close to the processor.
+
+    (sum, y, x) of v, v², v³, products of frames 1 and 2 apart, squared steps in each half of the movie, products with
+    the next pixel along x and along y (none at the far edge); and (3, y, x) the largest value, its frame, and the next
+    largest, neither next to the other in time. v is counts above the baseline.
+    """
     n, height, width = movie.shape
-    shape = (height, width)
-    s1, s2, s3 = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    step, l1, l2 = np.zeros((2, height, width)), np.zeros(shape), np.zeros(shape)
-    right, below = np.zeros(shape), np.zeros(shape)
-    peak, second = np.full(shape, NONE_YET), np.full(shape, NONE_YET)
-    peak_frame = np.zeros(shape)
-    now, before, earlier, next_row = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width)
-    for y in range(height):
-        before[:], earlier[:] = 0.0, 0.0
-        for t in range(n):
-            # Without branches, so that these loops become vector instructions.
-            for x in range(width):
-                now[x] = movie[t, y, x] - baseline
-            for x in range(width):
-                v = now[x]
-                s1[y, x] += v
-                s2[y, x] += v * v
-                s3[y, x] += v * v * v
-            for x in range(width):
-                v = now[x]
-                l1[y, x] += v * before[x]
-                l2[y, x] += v * earlier[x]
-            for x in range(width - 1):
-                right[y, x] += now[x] * now[x + 1]
-            if y + 1 < height:
-                for x in range(width):
-                    next_row[x] = movie[t, y + 1, x] - baseline
-                for x in range(width):
-                    below[y, x] += now[x] * next_row[x]
-            if t > 0:
-                half = 2 * t // n
-                for x in range(width):
-                    difference = now[x] - before[x]
-                    step[half, y, x] += difference * difference
-            rank(now, float(t), peak[y], peak_frame[y], second[y])
-            now, before, earlier = earlier, now, before
-    return s1, s2, s3, step, l1, l2, right, below, peak, peak_frame.astype(np.int64), second
+    sums, ranks = np.zeros((9, height, width)), np.empty((3, height, width))
+    v, under = np.zeros((BEFORE + AT_ONCE) * ROW), np.zeros(AT_ONCE * ROW)
+    mine, best = np.empty(8 * ROW), np.empty(3 * ROW)
+    there, absent = np.empty(AT_ONCE), np.empty(AT_ONCE)
+    for left in range(0, width, ROW - 1):
+        w = min(ROW - 1, width - left)
+        wider = min(w + 1, width - left)  # with the next pixel
+        for y in range(height):
+            v[:], mine[:] = 0.0, 0.0
+            best[:ROW], best[ROW : 2 * ROW], best[2 * ROW :] = NONE_YET, 0.0, NONE_YET
+            for half in range(2):
+                middle = (n + 1) // 2
+                begin, end = (0, middle) if half == 0 else (middle, n)
+                for t in range(begin, end, AT_ONCE):
+                    k = min(AT_ONCE, end - t)
+                    if k < AT_ONCE:
+                        v[BEFORE * ROW :], under[:] = 0.0, 0.0
+                    for i in range(k):
+                        above(movie[t + i, y, left : left + wider], baseline, v[(BEFORE + i) * ROW :])
+                        if y + 1 < height:
+                            above(movie[t + i, y + 1, left : left + w], baseline, under[i * ROW :])
+                    for i in range(AT_ONCE):
+                        there[i] = 1.0 if i < k and t + i > 0 else 0.0
+                        absent[i] = 0.0 if i < k else NONE_YET
+                    add_up(w, v, under, there, mine)
+                    rank(w, v, float(t), absent, best)
+                    for i in range(BEFORE):
+                        v[i * ROW : i * ROW + wider] = v[(k + i) * ROW : (k + i) * ROW + wider]
+                sums[5 + half, y, left : left + w] = mine[5 * ROW : 5 * ROW + w]
+                mine[5 * ROW : 6 * ROW] = 0.0
+            for i in range(5):
+                sums[i, y, left : left + w] = mine[i * ROW : i * ROW + w]
+            for i in range(2):
+                sums[7 + i, y, left : left + w] = mine[(6 + i) * ROW : (6 + i) * ROW + w]
+            for i in range(3):
+                ranks[i, y, left : left + w] = best[i * ROW : i * ROW + w]
+    return sums, ranks
+
+
+@inlined
+def above(counts, baseline, values):  # type: ignore[no-untyped-def]
+    for x in range(counts.size):
+        values[x] = counts[x] - baseline
+
+
+@inlined
+def add_up(w, v, under, there, sums):  # type: ignore[no-untyped-def]
+    """Add four frames of a row `v`, the two before them first, and of the row `under` it; steps where `there` is 1."""
+    one, two, three, four = there[0], there[1], there[2], there[3]
+    for x in range(w):
+        y, z = v[x], v[ROW + x]
+        a, b, c, d = v[2 * ROW + x], v[3 * ROW + x], v[4 * ROW + x], v[5 * ROW + x]
+        aa, bb, cc, dd = a * a, b * b, c * c, d * d
+        sums[x] += a + b + c + d
+        sums[ROW + x] += aa + bb + cc + dd
+        sums[2 * ROW + x] += aa * a + bb * b + cc * c + dd * d
+        sums[3 * ROW + x] += z * a + a * b + b * c + c * d
+        sums[4 * ROW + x] += y * a + z * b + a * c + b * d
+        sums[5 * ROW + x] += one * (a - z) ** 2 + two * (b - a) ** 2 + three * (c - b) ** 2 + four * (d - c) ** 2
+    for x in range(w):
+        a, b, c, d = v[2 * ROW + x], v[3 * ROW + x], v[4 * ROW + x], v[5 * ROW + x]
+        right = v[2 * ROW + x + 1], v[3 * ROW + x + 1], v[4 * ROW + x + 1], v[5 * ROW + x + 1]
+        sums[6 * ROW + x] += a * right[0] + b * right[1] + c * right[2] + d * right[3]
+        sums[7 * ROW + x] += a * under[x] + b * under[ROW + x] + c * under[2 * ROW + x] + d * under[3 * ROW + x]
+
+
+@inlined
+def rank(w, v, t, absent, ranks):  # type: ignore[no-untyped-def]
+    """Take four frames of a row from frame t on into its largest values, their frames, and the next largest."""
+    two, three, four = absent[1], absent[2], absent[3]
+    for x in range(w):
+        best = ranks[x], ranks[ROW + x], ranks[2 * ROW + x]
+        best = ranked(v[2 * ROW + x], t, best)
+        best = ranked(v[3 * ROW + x] + two, t + 1.0, best)
+        best = ranked(v[4 * ROW + x] + three, t + 2.0, best)
+        best = ranked(v[5 * ROW + x] + four, t + 3.0, best)
+        ranks[x], ranks[ROW + x], ranks[2 * ROW + x] = best
+
+
+@inlined
+def ranked(now, t, best):  # type: ignore[no-untyped-def]
+    top, at, second = best
+    apart = t - at > 1.0
+    overtaken = top if apart or at == 0.0 else NONE_YET
+    beside = now if apart else NONE_YET
+    return max(top, now), t if now > top else at, max(second, overtaken if now > top else beside)
 
 
 @vectorised
 def in_space(movie, baseline, label, parts):  # type: ignore[no-untyped-def]
-    """Frame by frame: sums over rows and columns of each part, and its digits."""
+    """Frame by frame: sums over rows and columns of each part, and its digits. Sums of counts are whole numbers; 65 537
+    pixels in a line are the most that they hold."""
     n, height, width = movie.shape
     rows, columns = np.zeros((parts + 1, n, height)), np.zeros((parts + 1, n, width))
-    comb = np.zeros((4, parts + 1, COMB), dtype=np.int64)  # neighbours count apart: none waits for another
-    mine = np.zeros((parts + 1, height, width))
-    for part in range(parts + 1):
-        mine[part] = label == part
-    value = np.empty(width)
+    of_rows, of_columns = np.zeros((parts + 1, height)), np.zeros((parts + 1, width))
+    mine, bins = np.zeros((parts + 1, height, width), np.uint32), np.empty((height, width), np.uint64)
+    for y in range(height):
+        for x in range(width):
+            part = label[y, x]
+            mine[part, y, x] = 0xFFFFFFFF
+            of_rows[part, y] += baseline
+            of_columns[part, x] += baseline
+            bins[y, x] = ((x & 3) * (parts + 1) + part) * COMB
+    comb = np.zeros(4 * (parts + 1) * COMB, dtype=np.int64)  # neighbours count apart: none waits for another
+    down = np.empty((parts + 1, width), np.uint32)
     for t in range(n):
+        down[:] = 0
         for y in range(height):
-            for x in range(width):
-                value[x] = movie[t, y, x] - baseline
+            counts, place = movie[t, y], bins[y]
             for part in range(parts + 1):
-                total = 0.0
-                for x in range(width):
-                    v = mine[part, y, x] * value[x]
-                    columns[part, t, x] += v
-                    total += v
-                rows[part, t, y] = total
+                rows[part, t, y] = add_line(counts, mine[part, y], down[part]) - of_rows[part, y]
             for x in range(width):
-                comb[x & 3, label[y, x], movie[t, y, x] % COMB] += 1
-    return rows, columns, comb.sum(axis=0)
+                comb[place[x] + np.uint64(counts[x] % COMB)] += 1
+        for part in range(parts + 1):
+            for x in range(width):
+                columns[part, t, x] = down[part, x] - of_columns[part, x]
+    return rows, columns, comb.reshape(4, parts + 1, COMB).sum(axis=0)
+
+
+@inlined
+def add_line(counts, mine, down):  # type: ignore[no-untyped-def]
+    """Add the counts of a line under a mask of bits to the sums of columns; their own sum."""
+    total = np.uint32(0)
+    for x in range(counts.size):
+        v = np.uint32(np.uint32(counts[x]) & mine[x])
+        down[x] = np.uint32(down[x] + v)
+        total = np.uint32(total + v)
+    return total
+
+
+@vectorised
+def line_noise(sums, labels, count):  # type: ignore[no-untyped-def]
+    """Variance of line means about frame and line means, each times its number of pixels, of the sums (part, frame,
+    line) of some parts; lines of fewer than four pixels do not count."""
+    n = sums.shape[1]
+    lines = np.flatnonzero(count >= 4)
+    if lines.size == 0 or n < 3:
+        return 0.0
+    means = np.zeros((n, lines.size))
+    for t in range(n):
+        for part in labels:
+            for i in range(lines.size):
+                means[t, i] += sums[part, t, lines[i]]
+        for i in range(lines.size):
+            means[t, i] /= count[lines[i]]
+    steady, squares = np.zeros(lines.size), np.zeros(lines.size)
+    for t in range(n):
+        steady += means[t] / n
+    for t in range(n):
+        about = means[t] - steady
+        squares += (about - about.mean()) ** 2
+    return (squares / n * count[lines]).mean()
+
+
+@vectorised
+def blur(maps, weights, rows, columns):  # type: ignore[no-untyped-def]
+    """Maps (map, y, x) blurred by half of symmetric weights (centre first); rows, columns: see `spots.spot_filter`."""
+    n, height, width = maps.shape
+    margin = weights.size - 1
+    result = np.empty(maps.shape)
+    shape = (rows.size, columns.size)
+    field, across, down = np.empty(shape), np.zeros(shape), np.zeros(shape)
+    for i in range(n):
+        for y in range(rows.size):
+            for x in range(columns.size):
+                field[y, x] = maps[i, rows[y], columns[x]]
+        blurred(field.ravel(), weights, 1, across.ravel())
+        blurred(across.ravel(), weights, columns.size, down.ravel())
+        result[i] = down[margin : margin + height, margin : margin + width]
+    return result

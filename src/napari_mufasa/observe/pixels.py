@@ -51,7 +51,8 @@ def pixel_statistics(
     n = len(movie)
     from napari_mufasa.observe.kernels import in_space, in_time
 
-    s1, s2, s3, step, l1, l2, right, below, peak, peak_frame, second = in_time(movie, float(baseline_adu))
+    sums, (peak, peak_frame, second) = in_time(movie, float(baseline_adu))
+    s1, s2, s3, l1, l2, step, right, below = *sums[:5], sums[5:7], *sums[7:]
     rows, columns, comb = in_space(movie, float(baseline_adu), np.ascontiguousarray(label), parts)
     mean = s1 / n
     variance = s2 / n - mean**2
@@ -70,7 +71,7 @@ def pixel_statistics(
         column_sum=columns,
         comb=comb,
         peak=peak,
-        peak_frame=peak_frame,
+        peak_frame=peak_frame.astype(np.int64),
         second=second,
     )
 

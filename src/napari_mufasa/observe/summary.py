@@ -33,6 +33,10 @@ class Part:
     labels: tuple[int, ...]
     molecules: NDArray[np.bool_]
 
+    def holds(self, label: NDArray[np.int8]) -> NDArray[np.bool_]:
+        """Which pixels are labelled as of this part."""
+        return np.logical_or.reduce([label == mine for mine in self.labels])
+
 
 def telling(states: Dynamics) -> NDArray[np.bool_]:
     """(trace,) the traces that are on at a level beyond doubt."""

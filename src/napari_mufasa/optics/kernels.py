@@ -49,7 +49,18 @@ def draw_spots(images, photons, positions, sigma):  # type: ignore[no-untyped-de
                 where[m, 0], where[m, 1] = shares(positions[fp, m, 0], sigma[fs, 0], height, y_share[m])
                 where[m, 2], where[m, 3] = shares(positions[fp, m, 1], sigma[fs, 1], width, x_share[m])
             y0, rows, x0, columns = where[m]
+            share = x_share[m, :columns]
             for i in range(rows):
-                row = n * y_share[m, i]
+                row, line = n * y_share[m, i], images[f, y0 + i, x0 : x0 + columns]
                 for j in range(columns):
-                    images[f, y0 + i, x0 + j] += row * x_share[m, j]
+                    line[j] += row * share[j]
+
+
+@jit
+def add_pattern(images, course, pattern):  # type: ignore[no-untyped-def]
+    """Add a pattern (y, x) to images (frame, y, x), each times its course (frame,)."""
+    n_frames, height, width = images.shape
+    for f in range(n_frames):
+        for y in range(height):
+            for x in range(width):
+                images[f, y, x] += course[f] * pattern[y, x]

@@ -44,6 +44,13 @@ def spot_images(
     return images
 
 
+def add_pattern(images: NDArray[np.float32], course: NDArray[np.float32], pattern: NDArray[np.float32]) -> None:
+    """Add a pattern (y, x) to images (frame, y, x), each times its course (frame,)."""
+    from napari_mufasa.optics import kernels
+
+    kernels.add_pattern(images, course, pattern)
+
+
 def elongated(
     photons: NDArray[np.floating], positions_px: NDArray[np.floating], sigma_px: NDArray[np.floating],
     log_ratio: float, direction: float,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Any
 
@@ -29,13 +30,13 @@ def scatter(n: int, shape_px: tuple[int, int], min_distance_px: float, rng: np.r
     if min_distance_px <= 0:
         return np.asarray(rng.random((n, 2)) * extent - 0.5)
     cell = min_distance_px / np.sqrt(2)  # a cell this small holds one molecule at most
-    taken: dict[tuple[int, int], NDArray[np.float64]] = {}
+    taken: dict[tuple[int, int], tuple[float, float]] = {}
     misses = 0
     while len(taken) < n:
-        candidate = rng.random(2) * extent - 0.5
-        cy, cx = (int(v) for v in np.floor((candidate + 0.5) / cell))
-        near = (taken.get((cy + dy, cx + dx)) for dy in range(-2, 3) for dx in range(-2, 3))
-        if any(p is not None and np.hypot(*(p - candidate)) < min_distance_px for p in near):
+        y, x = (rng.random(2) * extent - 0.5).tolist()
+        row, column = math.floor((y + 0.5) / cell), math.floor((x + 0.5) / cell)
+        near = (taken.get((row + i, column + j)) for i in range(-2, 3) for j in range(-2, 3))
+        if any(p is not None and math.hypot(p[0] - y, p[1] - x) < min_distance_px for p in near):
             misses += 1
             if misses > 200 * n:
                 raise MufasaError(
@@ -43,7 +44,7 @@ def scatter(n: int, shape_px: tuple[int, int], min_distance_px: float, rng: np.r
                     f"({len(taken)} did): lower n_molecules or min_distance_px"
                 )
             continue
-        taken[cy, cx] = candidate
+        taken[row, column] = y, x
     return np.array(list(taken.values())).reshape(-1, 2)
 
 

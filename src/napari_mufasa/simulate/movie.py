@@ -89,6 +89,12 @@ class SimulatedAcquisition:
         height, width = self.scene.shape_px
         return max(1, min(self.n_frames, BLOCK_BYTES // (4 * height * width)))
 
+    def movie(self) -> NDArray[np.uint16]:
+        """The whole movie (frame, y, x) ADU, without its optical images."""
+        size, last = self.block_frames(), self.n_frames
+        blocks = (self.scene.record(self.photons, f, min(f + size, last)) for f in range(0, last, size))
+        return np.concatenate([block.movie for block in blocks])
+
     def blocks(
         self,
         *,

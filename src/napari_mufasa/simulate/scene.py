@@ -127,9 +127,7 @@ class Scene:
             image *= np.float32(1 - within)
             image += np.float32(within) * self._spots(photons, positions, wider * self.sigma_px[frames])
         course = (self.light * self.background)[frames].astype(np.float32)
-        background = self.background_map().astype(np.float32)
-        for picture, level in zip(image, course, strict=True):
-            picture += level * background
+        optics.add_pattern(image, course, self.background_map().astype(np.float32))
         return image
 
     def _spots(self, photons: Array, positions: Array, sigma: Array) -> NDArray[np.float32]:
