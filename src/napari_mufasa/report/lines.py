@@ -130,9 +130,12 @@ def molecule_line(row: Any) -> str:
             f"{row['diffusion_sd_px2_per_frame']:.1g} px² per frame, drift y {row['drift_y_px_per_frame']:.2g}, "
             f"x {row['drift_x_px_per_frame']:.2g} ± {row['drift_sd_px_per_frame']:.1g} px per frame · "
         )
+    ratio = ""
+    if "efficiency" in row:
+        ratio = f"E {row['efficiency']:.3f} ± {row['efficiency_sd']:.3f} · "
     return (
         f"<b>Molecule {row['molecule']}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · {moves}"
-        f"{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
+        f"{ratio}{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
         f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
     )
 

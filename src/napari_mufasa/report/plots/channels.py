@@ -54,7 +54,8 @@ def pair_sheet(
         ax.plot(a, color=p.before, lw=0.7, label="acceptor")
         ax.axhline(0, color=p.muted, lw=0.5, zorder=0)
         ax.annotate(f"{label}", (0.98, 0.96), xycoords="axes fraction", ha="right", va="top", fontsize=7, color=p.muted)
-    parts.common_legend(parent, axes)
+    if shown:
+        parent.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     more = f" ({shown} of {len(donor)})" if len(donor) > shown else ""
     parent.supxlabel("frame", fontsize=8)
     parent.supylabel("photoelectrons per frame", fontsize=8)
