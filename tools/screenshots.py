@@ -209,6 +209,67 @@ def proposed(viewer: Any, workflow: Any) -> Iterator[str]:
     yield "camera-proposed"
 
 
+def channels(viewer: Any, workflow: Any) -> Iterator[str]:
+    """A simulated splitter: beads registered, both channels of a molecule."""
+    from napari_mufasa.files.layers import movie_space
+    from napari_mufasa.widgets.parts.layers import movie_layer
+
+    model, (beads, movie) = splitter()
+    whole = model.with_values({"acquisition.shape_px": movie.shape[1:]})
+    space = movie_space(whole.acquisition.pixel_size_nm)
+    viewer.add_layer(movie_layer(movie, "splitter", space, whole, 1))
+    viewer.add_layer(movie_layer(beads, "beads", space))
+    data = workflow.step("Data")
+    workflow.session.set_movie(viewer.layers["splitter"])
+    workflow.session.take_model_of_movie()
+    part = data.channels
+    part.parentWidget().parentWidget().expand(animate=False)
+    part.form.beads.value = viewer.layers["beads"]
+    part.draw_button.click()
+    part.register_button.click()
+    finish(data)
+    viewer.reset_view()
+    pump(0.6)
+    scroll_to(part.said)
+    yield "channels-registered"
+    viewer.layers["beads"].visible = viewer.layers["beads, channels"].visible = False
+    show(workflow, "Molecules")
+    panel = workflow.step("Molecules")
+    press(panel)
+    pump(0.6)
+    click_molecule(viewer, panel, int(panel.traces.molecules.query("kept")["efficiency"].sub(0.5).abs().idxmin()))
+    yield "channels-molecule"
+
+
+def splitter() -> tuple[Any, tuple[Any, Any]]:
+    """The model of a half, and two movies of whole frames: beads, and molecules whose efficiency switches."""
+    import numpy as np
+
+    import napari_mufasa as nm
+    from napari_mufasa.channels import simulate_pair
+
+    model = nm.preset("FF").with_values(
+        {
+            "acquisition.n_frames": 200, "acquisition.shape_px": (128, 96), "excitation.power_density_w_per_cm2": 8,
+            "optics.background_photons_per_px": 10, "fluorophore.cycles_before_bleaching": None,
+            "sample.n_molecules": 40, "sample.min_distance_px": 11,
+        }
+    )  # fmt: skip
+
+    def there(places: Any) -> Any:
+        turn, centre = np.radians(1.2), np.array([63.5, 47.5])
+        linear = 1.01 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        return (places - centre) @ linear.T + centre + np.array([2.0, -3.0])
+
+    rng = np.random.default_rng(1)
+    high = np.cumsum(rng.random((40, 200)) < 0.03, axis=1) % 2 == 1
+    beads = model.with_values({"acquisition.n_frames": 10, "excitation.power_density_w_per_cm2": 60})
+    return model, (
+        simulate_pair(beads, 0.5, there, seed=1).movie,
+        simulate_pair(model, np.where(high, 0.8, 0.25), there, seed=2).movie,
+    )
+
+
 def scroll_to(widget: Any) -> None:
     """Let what scrolls around a widget show it."""
     from qtpy.QtWidgets import QScrollArea
@@ -258,7 +319,9 @@ def compress(path: Path) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
-    parser.add_argument("--only", nargs="*", choices=["story", "simulate", "design", "real", "proposed"], default=[])
+    parser.add_argument(
+        "--only", nargs="*", choices=["story", "simulate", "design", "real", "proposed", "channels"], default=[]
+    )
     parser.add_argument("--theme", choices=["dark", "light"])
     parser.add_argument("--suspects", nargs="*", default=[], help="effects to consider in step Discover (all)")
     args = parser.parse_args()
@@ -276,6 +339,7 @@ def main() -> int:
         "design": ("Design", design),
         "real": ("MUFASA workflow", real),
         "proposed": ("MUFASA workflow", proposed),
+        "channels": ("MUFASA workflow", channels),
     }
     made: set[str] = set()
     for name, (widget, scene) in scenes.items():

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from napari_mufasa.calibrate import Calibration, calibrate
+    from napari_mufasa.channels import Channels, PairedTraces, SimulatedPair, extract_pair, register, simulate_pair
     from napari_mufasa.compare import Comparison, compare_movie, compare_traces
     from napari_mufasa.compare.wasserstein import wasserstein
     from napari_mufasa.denoise import denoise, pure_let
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "calibrate": ("Calibration", "calibrate"),
+    "channels": ("Channels", "PairedTraces", "SimulatedPair", "extract_pair", "register", "simulate_pair"),
     "compare": ("Comparison", "compare_movie", "compare_traces", "wasserstein"),
     "denoise": ("denoise", "pure_let"),
     "design": ("Prediction", "Solution", "design", "predict", "solve"),
@@ -66,12 +68,13 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Calibration", "Camera", "Cancelled", "Comparison", "Confirmation", "Effect", "Investigation", "Mismatch",
-    "Model", "MufasaError", "Photophysics", "Power", "Prediction", "Proposal", "Report", "Setup",
-    "SimulatedAcquisition", "Simulation", "Solution", "TraceSet", "calibrate", "catalogue", "compare_movie",
-    "compare_traces", "confirm", "confirm_halves", "denoise", "design", "diagnose", "diagnose_traces",
-    "extract_traces", "infer_photophysics", "mismatches", "power", "predict", "preset", "propose_model", "pure_let",
-    "refine", "simulate", "simulate_dark", "simulate_emission", "solve", "wasserstein",
+    "Calibration", "Camera", "Cancelled", "Channels", "Comparison", "Confirmation", "Effect", "Investigation",
+    "Mismatch", "Model", "MufasaError", "PairedTraces", "Photophysics", "Power", "Prediction", "Proposal", "Report",
+    "Setup", "SimulatedAcquisition", "SimulatedPair", "Simulation", "Solution", "TraceSet", "calibrate",
+    "catalogue", "compare_movie", "compare_traces", "confirm", "confirm_halves", "denoise", "design", "diagnose",
+    "diagnose_traces", "extract_pair", "extract_traces", "infer_photophysics", "mismatches", "power", "predict",
+    "preset", "propose_model", "pure_let", "refine", "register", "simulate", "simulate_dark", "simulate_emission",
+    "simulate_pair", "solve", "wasserstein",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

@@ -484,6 +484,8 @@ def test_lists_after_add_are_spread(tmp_path):
 
 def test_the_words_of_an_option_are_those_of_the_function_it_is_for():
     from napari_mufasa.calibrate.measure import CameraType
+    from napari_mufasa.channels.pair import FindIn
+    from napari_mufasa.channels.transform import Kind
     from napari_mufasa.cli import options
     from napari_mufasa.compare.simulated import SofiTimes
     from napari_mufasa.denoise.pipeline import Method
@@ -496,6 +498,7 @@ def test_the_words_of_an_option_are_those_of_the_function_it_is_for():
     assert options.UnitName == Unit and options.ProfileName == Profile and options.ThresholdName == Threshold
     assert get_args(options.SnrBy) == ("power", "exposure")
     assert options.TimesName == SofiTimes and options.MethodName == Method
+    assert options.KindName == Kind and options.FindInName == FindIn
 
 
 # --- what it prints ------------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ FLOORS = (
     ("effects",),
     ("spots",),
     ("traces",),
+    ("channels",),
     ("observe", "calibrate"),
     ("denoise", "compare", "propose"),
     ("design", "infer"),

@@ -25,7 +25,7 @@ from napari_mufasa.report.fields import bounds_of, unit_of
 from napari_mufasa.widgets.parts.edits import MapEdit, TypedEdit
 from napari_mufasa.widgets.parts.forms import PartForm
 
-STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "propose", "design", "power")
+STEPS = ("simulate", "denoise", "traces", "compare", "discover", "calibrate", "propose", "register", "design", "power")
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from napari_mufasa.cli import batching, believing, discovering, making, measuring
+from napari_mufasa.cli import batching, believing, discovering, making, measuring, registering
 
 app = typer.Typer(
     name="napari-mufasa",
@@ -19,7 +19,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-for verb in (*making.VERBS, *measuring.VERBS, *believing.VERBS, *discovering.VERBS, *batching.VERBS):
+for verb in (
+    *making.VERBS,
+    *measuring.VERBS,
+    *registering.VERBS,
+    *believing.VERBS,
+    *discovering.VERBS,
+    *batching.VERBS,
+):
     app.command(verb.__name__)(verb)
 
 

@@ -23,6 +23,7 @@ from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
+    from napari_mufasa.traces.extract import TraceSet
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr")
@@ -234,6 +235,20 @@ def tell_mismatches(path: Path, movie: Any, model: Model, dark: Any = None) -> N
         note(f"the model may not belong to this movie: {mismatch.words}")
     if any(mismatch.field.startswith("camera") for mismatch in found):
         note(f"'napari-mufasa propose {path}' makes a model of the movie itself")
+
+
+def tell_molecules(out: Path, found: TraceSet) -> None:
+    """How many molecules are kept, why others are not, and notes."""
+    from napari_mufasa.report.lines import moving_line
+
+    typer.echo(f"{out}: {found.kept.sum()} molecules kept of {len(found.molecules)} candidates")
+    reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
+    for reason, count in reasons.value_counts().head(6).items():
+        typer.echo(f"  {count} × {reason}")
+    if found.path_px is not None:
+        typer.echo(moving_line(found))
+    for note in found.notes:
+        typer.echo(f"note: {note}" + (" (--follow-drift)" if found.path_px is None else ""))
 
 
 def note(text: str) -> None:

@@ -13,6 +13,7 @@ from napari_mufasa.cli import console
 from napari_mufasa.cli.measuring import trace_table
 from napari_mufasa.cli.options import (
     Budget,
+    Channel,
     DarkFile,
     ModelFile,
     MovieFile,
@@ -23,6 +24,7 @@ from napari_mufasa.cli.options import (
     TraceProfile,
     TraceUnit,
 )
+from napari_mufasa.cli.registering import one_channel
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
@@ -60,6 +62,7 @@ def diagnose(
     halves: Annotated[
         bool, typer.Option("--halves", help="Do the two halves of the field say the same? (two diagnoses more)")
     ] = False,
+    channel: Channel = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
@@ -75,6 +78,8 @@ def diagnose(
             raise MufasaError("--check and --halves belong to a movie: drop them for a table of traces")
         if dark is not None:
             raise MufasaError("--dark belongs to a movie; traces have their background taken off or not: drop it")
+        if channel is not None:
+            raise MufasaError("--channel belongs to a movie: drop it for a table of traces")
         table = trace_table(movie, unit, profile, with_background)
         with console.working("diagnosing") as work:
             report = discover.diagnose_traces(**table, model=believed, seed=seed, budget=budget, **work.both())
@@ -84,12 +89,12 @@ def diagnose(
     for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
         if given is not None:
             raise MufasaError(f"{name} belongs to a table of traces; add --traces if this is one")
-    background = None if dark is None else files.load(dark)
-    recorded = _loaded(movie, believed, background)
+    whole, dark_frames = believed, None if dark is None else files.load(dark)
+    recorded, believed, background = _loaded(movie, whole, dark_frames, channel)
     with console.working("diagnosing") as work:
         report = discover.diagnose(recorded, believed, background, seed=seed, budget=budget, **work.both())
     if check is not None:
-        other = _loaded(check, believed, background)
+        other = _loaded(check, whole, dark_frames, channel)[0]
         with console.working(f"checking on {check.name}") as work:
             held = discover.confirm(report, other, believed, background, seed=seed, budget=budget, **work.both())
         report = replace(report, check=held.to_dict(check.name))
@@ -119,7 +124,7 @@ def refine(
     believed = Model.from_json(model)
     effects = [_effect(believed, text) for text in add]
     background = None if dark is None else files.load(dark)
-    recorded = _loaded(movie, believed, background)
+    recorded, believed, background = _loaded(movie, believed, background)
     with console.working("refining") as work:
         report = discover.refine(recorded, believed, effects, background, seed=seed, **work.both())
     _finish_movie(out, report, recorded, background, [movie, model, dark])
@@ -184,13 +189,21 @@ def _numbers(text: str) -> list[float]:
         raise MufasaError(f"--strength {text!r}: write numbers with commas between, as 0.2,0.5,1") from None
 
 
-def _loaded(movie: Path, model: Model, dark: Any) -> Any:
-    from napari_mufasa import files
+def _loaded(movie: Path, model: Model, dark: Any, channel: str | None = None) -> tuple[Any, Model, Any]:
+    """Movie, in memory, model and dark frames; of one channel where that is asked for."""
+    import numpy as np
 
-    console.tell_disagreement(files.read_movie(movie), model)
-    recorded = files.load(movie)
+    from napari_mufasa import checks, files
+
+    read, model, dark = one_channel(channel, files.read_movie(movie), model, dark)
+    console.tell_disagreement(read, model)
+    if channel is None:
+        recorded = files.load(movie)
+    else:
+        checks.affordable(read.data.nbytes, f"{movie} as a whole", "crop it, or give fewer frames")
+        recorded = np.asarray(read.data)
     console.tell_mismatches(movie, recorded, model, dark)
-    return recorded
+    return recorded, model, dark
 
 
 def _effect(model: Any, text: str) -> Any:

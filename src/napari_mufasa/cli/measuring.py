@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from napari_mufasa.cli import console
+from napari_mufasa.cli import console, registering
 from napari_mufasa.cli.options import (
+    AcceptorSigma,
     Best,
+    Channel,
+    ChannelsFile,
     DarkFile,
+    DirectExcitation,
+    FindIn,
     FollowDrift,
     FollowMolecules,
+    Gamma,
+    Leakage,
     MaxGap,
     MaxStep,
     MaxSteps,
@@ -40,7 +47,6 @@ if TYPE_CHECKING:
     from napari_mufasa import files
     from napari_mufasa.model.model import Model
     from napari_mufasa.model.setup import Camera
-    from napari_mufasa.traces.extract import TraceSet
 
 # What verbs write, as patterns.
 TRACES = (
@@ -59,6 +65,7 @@ def denoise(
         typer.Option("--dark", metavar="DARK", help="Or frames without light: an EMCCD is measured on the data."),
     ] = None,
     method: Annotated[MethodName, typer.Option("--method", help="Which estimator.")] = "pure-let-movie",
+    channel: Channel = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
 ) -> None:
@@ -76,19 +83,20 @@ def denoise(
     console.check_movie_out(out, overwrite)
     console.check_not_read(out, movie, model, dark)
     believed = None if model is None else Model.from_json(model)
-    read = files.read_movie(movie)
+    background = None if dark is None else files.load(dark)
+    read, believed, background = registering.one_channel(channel, files.read_movie(movie), believed, background)
     recorded = read.data
     if believed is not None:
         console.tell_disagreement(read, believed)
     console.check_room(out, 4 * math.prod(recorded.shape))
     with console.working("denoising") as work:
-        background = None if dark is None else files.load(dark)
         camera = believed.camera if believed is not None else measured_camera(recorded, background, work.cancel)
 
         def blocks(first: int) -> Iterator[tuple[int, Any]]:
             yield from denoised(recorded, camera, method=method, first=first, **work.both())
 
         made_from = {"denoise": method, "camera": camera.model_dump(mode="json"), **files.signature(movie)}
+        made_from |= {} if channel is None else {"channel": channel}
         files.write_movie(
             out, blocks, recorded.shape, np.float32, pixel_size_nm=_pixel_size_nm(believed, read),
             resume=made_from if resume else None,
@@ -141,6 +149,13 @@ def traces(
     min_snr: Annotated[float, typer.Option("--min-snr", min=0, metavar="R", help="Level over noise per frame.")] = 1.0,
     hdf5: Annotated[bool, typer.Option("--hdf5", help="Also write traces.h5, traces and table in one file.")] = False,
     openfret: Annotated[bool, typer.Option("--openfret", help="Also write traces.openfret.json.")] = False,
+    channel: Channel = None,
+    channels: ChannelsFile = None,
+    find_in: FindIn = None,
+    leakage: Leakage = 0.0,
+    direct_excitation: DirectExcitation = 0.0,
+    gamma: Gamma = 1.0,
+    acceptor_sigma: AcceptorSigma = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
@@ -150,23 +165,31 @@ def traces(
     from napari_mufasa.traces import extract_traces
     from napari_mufasa.traces.table import write_traces
 
-    console.check_folder_out(out, overwrite, TRACES, movie, model, dark)
-    believed = Model.from_json(model)
-    read = files.read_movie(movie)
+    console.check_folder_out(out, overwrite, (*TRACES, *registering.PAIR), movie, model, dark, channels)
+    options = {
+        "window": window, "best": best, "max_steps": max_steps, "min_steps": min_steps, "follow_drift": follow_drift,
+        "profile": profile, "subtract_background": not with_background, "threshold": threshold,
+        "threshold_value": threshold_value, "min_snr": min_snr, **_following(follow_molecules, max_step, max_gap),
+    }  # fmt: skip
+    of_two = registering.pair_options(channels, find_in, leakage, direct_excitation, gamma, acceptor_sigma)
+    if channels is not None:
+        if channel is not None:
+            raise MufasaError("--channel reads one channel, --channels two: give one of them")
+        registering.pair_traces(movie, model, dark, channels, out, options | of_two, hdf5, openfret)
+        return
+    believed, read = Model.from_json(model), files.read_movie(movie)
+    background = None if dark is None else files.load(dark)
+    read, believed, background = registering.one_channel(channel, read, believed, background)
     recorded = read.data
     console.tell_disagreement(read, believed)
-    background = None if dark is None else files.load(dark)
     with console.working("traces") as work:
         found = extract_traces(
-            recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
-            max_steps=max_steps, min_steps=min_steps, follow_drift=follow_drift, profile=profile,
-            subtract_background=not with_background, threshold=threshold, threshold_value=threshold_value,
-            min_snr=min_snr, **_following(follow_molecules, max_step, max_gap), **work.both(),
-        )  # fmt: skip
+            recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, **options, **work.both()
+        )
     with console.filling(out, believed, None, (movie, model, dark)) as folder:
         write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
         figures.write(folder, figures.molecule_drawings(recorded, found))
-    _tell_molecules(out, found)
+    console.tell_molecules(out, found)
 
 
 def _following(molecules: bool, max_step: float | None, max_gap: int | None) -> dict[str, Any]:
@@ -174,19 +197,6 @@ def _following(molecules: bool, max_step: float | None, max_gap: int | None) -> 
     if given and not molecules:
         raise MufasaError("--max-step and --max-gap belong to molecules that are followed: add --follow-molecules")
     return {"follow_molecules": molecules, **given}
-
-
-def _tell_molecules(out: Path, found: TraceSet) -> None:
-    from napari_mufasa.report.lines import moving_line
-
-    typer.echo(f"{out}: {found.kept.sum()} molecules kept of {len(found.molecules)} candidates")
-    reasons = found.molecules["reason"][~found.kept].str.replace(r"[\d.]+", "…", regex=True)
-    for reason, count in reasons.value_counts().head(6).items():
-        typer.echo(f"  {count} × {reason}")
-    if found.path_px is not None:
-        typer.echo(moving_line(found))
-    for note in found.notes:
-        typer.echo(f"note: {note}" + (" (--follow-drift)" if found.path_px is None else ""))
 
 
 def compare(

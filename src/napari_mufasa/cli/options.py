@@ -18,6 +18,8 @@ UnitName = Literal["photoelectrons", "photons", "adu"]
 ProfileName = Literal["psf", "sum", "brightest_pixel"]
 ThresholdName = Literal["sigma", "percentile", "otsu", "triangle"]
 TimesName = Literal["model", "tool"]
+KindName = Literal["affine", "polynomial"]
+FindInName = Literal["sum", "donor"]
 MethodName = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
 
 MovieFile = Annotated[
@@ -34,6 +36,11 @@ Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same 
 Budget = Annotated[
     int | None,
     typer.Option(min=1, metavar="N", help="Simulations that may be spent; 4000 without it, fewer for large movies."),
+]
+
+Channel = Annotated[
+    str | None,
+    typer.Option("--channel", metavar="RECT", help="One part of the frames: left, right, top, bottom or Y0:Y1,X0:X1."),
 ]
 
 # which molecules of a movie
@@ -54,6 +61,27 @@ MaxStep = Annotated[
 ]
 MaxGap = Annotated[
     int | None, typer.Option("--max-gap", min=0, metavar="N", help="Frames a followed molecule may be missed for (5).")
+]
+
+# two channels
+ChannelsFile = Annotated[
+    Path | None,
+    typer.Option("--channels", metavar="channels.json", help="Read donor and acceptor, as 'register' found them."),
+]
+FindIn = Annotated[
+    FindInName | None, typer.Option("--find-in", help="Where molecules are looked for: both channels together, or one.")
+]
+Leakage = Annotated[
+    float, typer.Option("--leakage", min=0, max=1, metavar="L", help="Share of the donor's light seen as acceptor's.")
+]
+DirectExcitation = Annotated[
+    float, typer.Option("--direct-excitation", min=0, metavar="E", help="Photoelectrons per frame, of the acceptor.")
+]
+Gamma = Annotated[
+    float, typer.Option("--gamma", min=0.01, max=100, metavar="G", help="Detection of acceptor over donor.")
+]
+AcceptorSigma = Annotated[
+    float | None, typer.Option("--acceptor-sigma", min=0.3, max=50, metavar="PX", help="PSF there, if not the model's.")
 ]
 
 # what a table of traces holds

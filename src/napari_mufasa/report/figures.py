@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from napari_mufasa.calibrate.found import Calibration
+    from napari_mufasa.channels import Channels, PairedTraces
     from napari_mufasa.compare import Comparison
     from napari_mufasa.discover.result import Candidate, Curve, Report
     from napari_mufasa.model.model import Model
@@ -165,6 +166,28 @@ def molecule_drawings(movie: Any, found: TraceSet) -> list[Drawing]:
         Drawing("molecules", "", (5.4, 5.0), lambda f: plotting.molecules(f.add_subplot(), picture, found.molecules)),
         Drawing("traces", "", (7.2, 6.2), lambda f: plotting.contact_sheet(f, found.traces, kept, most=24)),
     ]
+
+
+def pair_drawings(movie: Any, paired: PairedTraces) -> list[Drawing]:
+    """The candidates in the donor's channel of a movie of whole frames, both traces of the kept ones, efficiencies."""
+    picture = mean_image(paired.channels.donor.crop(movie))
+    kept, donor, acceptor = paired.kept, paired.donor.traces, paired.acceptor.traces
+    names = [
+        f"{row.molecule}, E {row.efficiency:.2f} ± {row.efficiency_sd:.2f}"
+        for row in paired.molecules[kept].itertuples()
+    ]
+    return [
+        Drawing("molecules", "", (5.4, 5.0), lambda f: plotting.molecules(f.add_subplot(), picture, paired.molecules)),
+        Drawing("traces", "", (7.2, 6.2), lambda f: plotting.pair_sheet(f, donor, acceptor, names)),
+        Drawing(
+            "efficiency", "", (5.4, 3.2), lambda f: plotting.efficiencies(f.add_subplot(), paired.efficiency[kept])
+        ),
+    ]
+
+
+def registration_drawing(channels: Channels) -> Drawing:
+    """The beads that two channels were registered by, and what is left of their distances."""
+    return Drawing("registration", "", (5.4, 5.0), lambda f: plotting.registration(f.add_subplot(), channels))
 
 
 def write(folder: Path, drawings: Sequence[Drawing]) -> None:

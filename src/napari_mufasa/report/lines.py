@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from napari_mufasa.calibrate import Calibration
+    from napari_mufasa.channels import Channels, PairedTraces
     from napari_mufasa.compare import Comparison
     from napari_mufasa.compare.wasserstein import Floor
     from napari_mufasa.design.solve import Solution
@@ -129,9 +130,12 @@ def molecule_line(row: Any) -> str:
             f"{row['diffusion_sd_px2_per_frame']:.1g} px² per frame, drift y {row['drift_y_px_per_frame']:.2g}, "
             f"x {row['drift_x_px_per_frame']:.2g} ± {row['drift_sd_px_per_frame']:.1g} px per frame · "
         )
+    ratio = ""
+    if "efficiency" in row:
+        ratio = f"E {row['efficiency']:.3f} ± {row['efficiency_sd']:.3f} · "
     return (
         f"<b>Molecule {row['molecule']}</b> at y {row['y_px']:.1f}, x {row['x_px']:.1f} px · {moves}"
-        f"{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
+        f"{ratio}{row['brightness']:.0f} e⁻ per frame, SNR {row['snr']:.1f} · "
         f"{f'bleached at frame {bleached}' if bleached >= 0 else 'not bleached'} · {verdict}"
     )
 
@@ -146,6 +150,38 @@ def moving_line(found: Any) -> str:
             low, middle, high = (f"{v:.3g}" for v in values.quantile([0.25, 0.5, 0.75]))
             told.append(word.format(f"{middle} ({low} … {high})"))
     return "followed molecules: " + (", ".join(told) if told else "none was kept")
+
+
+def channels_lines(found: Channels) -> list[str]:
+    """What two channels were registered with: matches, residual, shift, rotation, scale, notes."""
+    numbers, (donors, acceptors) = found.summary(), found.found
+    order = "affine" if found.transform.kind == "affine" else "polynomial of second order"
+    return [
+        f"{len(found.donor_px)} spots match of {donors} in the donor's channel and {acceptors} in the acceptor's; "
+        f"{order}",
+        f"left out, a spot is {numbers['residual_px']} px from its mapped place (root mean square, 95 % interval)",
+        f"shift y {numbers['shift_y_px']}, x {numbers['shift_x_px']} px, rotation {numbers['rotation_deg']}°, "
+        f"scale {numbers['scale'].value:.4f} ({numbers['scale'].low:.4f} … {numbers['scale'].high:.4f})",
+        *(f"note: {note}" for note in found.notes),
+    ]
+
+
+def efficiency_line(found: PairedTraces) -> str:
+    """The efficiencies of the kept molecules, in the middle and in the middle half of them, and what they are."""
+    values = found.molecules["efficiency"][found.kept].dropna()
+    if not len(values):
+        return "no molecule kept, so no efficiency"
+    low, middle, high = (f"{v:.3f}" for v in values.quantile([0.25, 0.5, 0.75]))
+    corrections = found.corrections
+    what = (
+        "apparent: leakage and direct excitation not corrected"
+        if corrections.none
+        else (
+            f"leakage {corrections.leakage:g}, direct excitation {corrections.direct_excitation_e:g} e⁻ per frame, "
+            f"γ {corrections.gamma:g}"
+        )
+    )
+    return f"efficiency E {middle} (middle half {low} … {high}; {what})"
 
 
 def map_line(layer: str, z: NDArray[Any], where: str) -> str:

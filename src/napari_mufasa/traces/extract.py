@@ -74,7 +74,7 @@ class TraceSet:
         chosen = table["molecule"].isin(list(molecules))
         table.loc[chosen, "kept"] = kept
         table.loc[chosen, "reason"] = "" if kept else reason
-        return replace(self, molecules=table, traces=_kept_traces(self.all_traces, table, self.options.window))
+        return replace(self, molecules=table, traces=kept_traces(self.all_traces, table, self.options.window))
 
 
 def extract_traces(
@@ -130,7 +130,7 @@ def extract_traces(
     select.judge(table, options.rules(sigma), frames.shape, sigma, seen.edge_px)
     measured = seen.measured
     return TraceSet(
-        traces=_kept_traces(measured.traces, table, options.window),
+        traces=kept_traces(measured.traces, table, options.window),
         molecules=table,
         all_traces=measured.traces,
         background=measured.background,
@@ -185,7 +185,7 @@ def _describe(seen: Candidates, options: Options, frames: Frames) -> tuple[pd.Da
     return table, dyn.lit
 
 
-def _kept_traces(traces: NDArray[np.float32], table: pd.DataFrame, window: int | None) -> NDArray[np.float32]:
+def kept_traces(traces: NDArray[np.float32], table: pd.DataFrame, window: int | None) -> NDArray[np.float32]:
     kept = np.flatnonzero(table["kept"].to_numpy(dtype=bool))
     if window is None:
         return traces[kept]

@@ -20,12 +20,13 @@ if TYPE_CHECKING:
     from napari_mufasa.widgets.steps.discover import discover_widget
     from napari_mufasa.widgets.steps.power import power_widget
     from napari_mufasa.widgets.steps.propose import propose_widget
+    from napari_mufasa.widgets.steps.register import register_widget
     from napari_mufasa.widgets.steps.simulate import simulate_widget
     from napari_mufasa.widgets.steps.traces import traces_widget
 
 __all__ = [
     "calibrate_widget", "compare_widget", "denoise_widget", "design_widget", "discover_widget", "power_widget",
-    "propose_widget", "simulate_widget", "traces_widget",
+    "propose_widget", "register_widget", "simulate_widget", "traces_widget",
 ]  # fmt: skip
 
 

@@ -11,6 +11,7 @@ system and no global figure is involved.
 """
 
 from napari_mufasa.report.plots.calibration import calibration
+from napari_mufasa.report.plots.channels import donor_and_acceptor, efficiencies, pair_sheet, registration
 from napari_mufasa.report.plots.design import JUDGED_BY, power_curve, predictions
 from napari_mufasa.report.plots.diagnosis import (
     count_strengths,
@@ -35,6 +36,7 @@ from napari_mufasa.report.plots.themes import PALETTES, Palette, Theme, figure, 
 
 __all__ = [
     "JUDGED_BY", "PALETTES", "Palette", "Theme", "calibration", "contact_sheet", "count_strengths", "curve", "curves",
-    "distribution", "distributions", "evidence", "figure", "image_bytes", "lit_trace", "molecules", "montage",
-    "power_curve", "predictions", "side_by_side", "staircase", "strengths", "style", "trace", "w1_bars", "z_scores",
+    "distribution", "distributions", "donor_and_acceptor", "efficiencies", "evidence", "figure", "image_bytes",
+    "lit_trace", "molecules", "montage", "pair_sheet", "power_curve", "predictions", "registration", "side_by_side", "staircase",
+    "strengths", "style", "trace", "w1_bars", "z_scores",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any, get_args, get_origin
 import napari
 import numpy as np
 from magicgui.widgets import ComboBox, FileEdit, LineEdit
-from napari.layers import Image, Layer, Points
+from napari.layers import Image, Layer, Points, Shapes
 from napari.viewer import Viewer
 from pydantic import TypeAdapter, ValidationError
 
@@ -90,13 +90,15 @@ def _notation(kind: Any) -> str:
     return f"; give {'96 × 128' if _is_pair(kind) else '0:0, 200:180' if _is_pair(get_args(kind)[0]) else '0, 0.5, 1'}"
 
 
-class MapEdit(FileEdit):
-    """A per-pixel map: the path of a TIFF, or the map itself; empty: none."""
+class HeldEdit(FileEdit):
+    """The path of a file, or what such a file holds; empty: none."""
+
+    filter_of, choose, tip = "", "…", ""
 
     def __init__(self, **options: Any) -> None:
         self._shown, self._kept = "", None
-        super().__init__(filter="TIFF (*.tif *.tiff)", nullable=True, **options)
-        self.choose_btn.text, self.choose_btn.tooltip = "TIFF …", "Read the map from a 2-D TIFF"
+        super().__init__(**(options | {"filter": self.filter_of, "nullable": True}))
+        self.choose_btn.text, self.choose_btn.tooltip = self.choose, self.tip
         line = self.line_edit.native
         line.setPlaceholderText("none")
         line.setClearButtonEnabled(True)
@@ -108,22 +110,46 @@ class MapEdit(FileEdit):
         return self._kept if text == self._shown else text or None
 
     def set_value(self, value: Any) -> None:
-        text = "" if value is None else str(value)
-        if np.ndim(value) == 2:
-            text = " × ".join(str(n) for n in value.shape) + " map"
+        text = "" if value is None else self.told(value)
         is_new = text != self.line_edit.native.text()
         self._shown, self._kept = text, value
         self.line_edit.native.setText(text)
         if is_new:
             self.changed.emit(value)
 
+    def told(self, value: Any) -> str:
+        """What is shown of a value that is there."""
+        return str(value)
+
+
+class MapEdit(HeldEdit):
+    """A per-pixel map: the path of a TIFF, or the map itself; empty: none."""
+
+    filter_of, choose, tip = "TIFF (*.tif *.tiff)", "TIFF …", "Read the map from a 2-D TIFF"
+
+    def told(self, value: Any) -> str:
+        return " × ".join(str(n) for n in value.shape) + " map" if np.ndim(value) == 2 else str(value)
+
+
+class ChannelsEdit(HeldEdit):
+    """Registered channels: the path of a channels.json, or the `Channels`; empty: the movie has one channel."""
+
+    filter_of, choose, tip = "Channels (*.json)", "File …", "Read channels.json, which register writes"
+
+    def told(self, value: Any) -> str:
+        sides = getattr(value, "donor", None), getattr(value, "acceptor", None)
+        return str(value) if None in sides else f"donor {sides[0]}, acceptor {sides[1]}"
+
+
+NOTHING = {"points": "the sample's layout", "shapes": "none: halves of the frames"}
+
 
 class LayerEdit(ComboBox):
-    """A layer of the viewer, or any other that it is given; of a `kind`: "movie", "dark" frames, or "points"."""
+    """A layer of the viewer, or any other that it is given; a "movie", "dark" frames, "points" or "shapes"."""
 
     def __init__(self, *, kind: str = "movie", **options: Any) -> None:
         self.kind = kind
-        self.null_string = "the sample's layout" if kind == "points" else "none"
+        self.null_string = NOTHING.get(kind, "none")
         self.viewer: Viewer | None = None  # None: the current one
         self._given: Layer | None = None
         super().__init__(**(options | {"choices": LayerEdit.offered}))
@@ -131,8 +157,8 @@ class LayerEdit(ComboBox):
     def offered(self) -> list[tuple[str, Layer]]:
         """Names and layers to choose from. Dark frames and pictures of misfit are never the movie."""
         viewer = self.viewer or napari.current_viewer()
-        kind = Points if self.kind == "points" else Image
-        barred = {"points": (), "dark": (PLACE,), "movie": (PLACE, "dark frames")}[self.kind]
+        kind = {"points": Points, "shapes": Shapes}.get(self.kind, Image)
+        barred = {"points": (), "shapes": (), "dark": (PLACE,), "movie": (PLACE, "dark frames")}[self.kind]
         layers = [*viewer.layers] if viewer is not None else []
         layers = [layer for layer in layers if isinstance(layer, kind) and stored(layer, "role") not in barred]
         if self._given is not None and self._given not in layers:

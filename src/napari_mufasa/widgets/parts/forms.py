@@ -60,7 +60,7 @@ class Shared(QObject):
         super().__init__(form.native)
         viewer, names = unwrapped(viewer), form.asdict()
         session = self.session = session_of(viewer)
-        self._layers = [form[name] for name in ("movie", "dark", "molecules") if name in names]
+        self._layers = [form[name] for name in ("movie", "dark", "molecules", "beads", "regions") if name in names]
         for widget in self._layers:
             widget.viewer = viewer
         self.reset_choices()
@@ -79,6 +79,13 @@ class Shared(QObject):
         self.refresh()
         if "model" in names:
             form["model"].follow(session)
+        if "channels" in names:
+            self._channels = form["channels"]
+            session.channels_changed.connect(self.show_channels)
+            self.show_channels()
+
+    def show_channels(self) -> None:
+        self._channels.value = self.session.channels
 
     def refresh(self) -> None:
         session = self.session

@@ -7,8 +7,9 @@ from typing import Annotated, Any, TypeAlias
 from napari.layers import Image, Points
 from pydantic import NonNegativeFloat, confloat
 
+from napari_mufasa.channels import Channels as Registered
 from napari_mufasa.model.model import Model
-from napari_mufasa.widgets.parts.edits import LayerEdit, TypedEdit
+from napari_mufasa.widgets.parts.edits import ChannelsEdit, LayerEdit, TypedEdit
 from napari_mufasa.widgets.parts.model_edit import ModelEdit
 
 _MOVIE: dict[str, Any] = {
@@ -41,6 +42,7 @@ AnyMovie: TypeAlias = Annotated[Image | None, _MOVIE]
 Dark: TypeAlias = Annotated[Image | None, _DARK]
 DarkFrames: TypeAlias = Annotated[int, _DARK_FRAMES]
 Molecules: TypeAlias = Annotated[Points | None, {"widget_type": LayerEdit, "kind": "points", "label": "Molecules at"}]
+Channels: TypeAlias = Annotated[Registered | None, {"widget_type": ChannelsEdit, "label": "Two channels"}]
 Believed: TypeAlias = Annotated[Model | None, _MODEL]
 EmGain: TypeAlias = Annotated[float | None, _GAIN]
 ElectronsPerAdu: TypeAlias = Annotated[float | None, _PER_ADU]

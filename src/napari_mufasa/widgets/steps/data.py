@@ -29,7 +29,8 @@ from napari_mufasa.widgets.parts.forms import begin, dress_one
 from napari_mufasa.widgets.parts.layers import added
 from napari_mufasa.widgets.parts.panel import Panel
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
-from napari_mufasa.widgets.parts.pieces import Words, button, row
+from napari_mufasa.widgets.parts.pieces import Words, button, row, section
+from napari_mufasa.widgets.steps.register import TwoChannels
 from napari_mufasa.widgets.turns.session import model_in
 
 
@@ -70,7 +71,8 @@ class DataPanel(Panel):
             self.use_model,
             self.use_scale,
         )
-        self.add(self.use_instrument)
+        self.channels = TwoChannels(self)
+        self.add(self.use_instrument, section("Two channels (image splitter)", self.channels))
         self.column.addStretch(1)
         self.session.movie_changed.connect(self.refresh)
         self.session.model_changed.connect(self.refresh)

@@ -10,15 +10,15 @@ from napari.layers import Layer, Points, Tracks
 from pydantic import PositiveInt
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.layers import measurement_of, stored
-from napari_mufasa.report.lines import molecule_line, moving_line
+from napari_mufasa.files.layers import Measurement, measurement_of, stored
+from napari_mufasa.report.lines import efficiency_line, molecule_line, moving_line
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.spots.aperture import Profile
 from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.forms import begin
 from napari_mufasa.widgets.parts.layers import added, ours, points_on, space_of
 from napari_mufasa.widgets.parts.panel import Panel
-from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, Movie
+from napari_mufasa.widgets.parts.parameters import Believed, Channels, Dark, DarkFrames, Movie
 from napari_mufasa.widgets.parts.pieces import button, takes_the_rest
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.turns.session import believed
@@ -27,6 +27,8 @@ from napari_mufasa.widgets.turns.steering import steering
 if TYPE_CHECKING:
     import pandas as pd
 
+    from napari_mufasa.channels import PairedTraces
+    from napari_mufasa.model.setup import Camera
     from napari_mufasa.traces import TraceSet
 
 KEPT, REJECTED = "#7bd88f", "#e0605e"
@@ -35,6 +37,7 @@ PROFILES = [("whole spot (PSF-weighted)", "psf"), ("sum over the spot", "sum"), 
 COLUMNS = (
     "molecule", "brightness", "snr", "bleaching_frame", "n_steps", "n_blinks", "kept", "reason", "found_frames",
     "diffusion_px2_per_frame", "drift_y_px_per_frame", "drift_x_px_per_frame",
+    "efficiency", "efficiency_sd",
 )  # fmt: skip
 COUNT: dict[str, Any] = {"widget_type": TypedEdit, "of": PositiveInt}
 
@@ -51,6 +54,7 @@ def traces(
     best: Annotated[int | None, COUNT | {"label": "Keep best", "empty": "all"}] = None,
     follow_drift: Annotated[bool, {"label": "follow the drift of the field"}] = False,
     follow_molecules: Annotated[bool, {"label": "follow each molecule"}] = False,
+    channels: Channels = None,
 ) -> list[Layer]:
     """Find single molecules and read their traces with the model's camera.
 
@@ -61,37 +65,61 @@ def traces(
         window: Keep only so many frames just before each molecule bleaches, in which it is active
         best: Keep only the best so many
         follow_molecules: Link each molecule's places from frame to frame and read its trace along its path
+        channels: Registered donor and acceptor of whole frames: molecules are looked for in the light of both
 
     Returns:
         One layer of points, a row of features for each candidate; its ``metadata["napari_mufasa"]["traces"]`` is the
-        `TraceSet`. Of molecules that were followed also a layer of tracks, the paths of the kept ones.
+        `TraceSet`. Of molecules that were followed also a layer of tracks, the paths of the kept ones; of two channels
+        also the places in the acceptor's, and the `PairedTraces` under "pair".
     """
     from napari_mufasa.traces import extract_traces
 
     progress, cancel = steering()
     measurement, camera = measurement_of(movie, dark, dark_frames), believed(model, movie).camera
-    found = extract_traces(
-        measurement.movie, camera, measurement.dark, unit=measurement.unit, progress=progress, cancel=cancel,
-        profile=profile, threshold_value=threshold_sigma, min_snr=min_snr, window=window, best=best,
-        follow_drift=follow_drift, follow_molecules=follow_molecules,
-    )  # fmt: skip
+    options: dict[str, Any] = {
+        "profile": profile, "threshold_value": threshold_sigma, "min_snr": min_snr, "window": window, "best": best,
+        "follow_drift": follow_drift, "follow_molecules": follow_molecules, "unit": measurement.unit,
+        "progress": progress, "cancel": cancel,
+    }  # fmt: skip
+    if channels is not None:
+        return pair_on(movie, pair_of(measurement, camera, channels, options))
+    found = extract_traces(measurement.movie, camera, measurement.dark, **options)
     points = molecules_on(movie, found)
     return [points] if found.path_px is None or not found.kept.any() else [
         points, paths_on(movie, found, measurement.first_frame)
     ]  # fmt: skip
 
 
+def pair_of(measured: Measurement, camera: "Camera", channels: Any, options: dict[str, Any]) -> "PairedTraces":
+    """Donor and acceptor, of channels registered or the path of their file."""
+    from napari_mufasa.channels import Channels as Registered
+    from napari_mufasa.channels import extract_pair
+
+    registered = channels if isinstance(channels, Registered) else Registered.from_json(channels)
+    return extract_pair(measured.movie, camera, registered, measured.dark, **options)
+
+
 traces_widget = magic_factory(traces, call_button="Extract traces", widget_init=begin)
 
 
-def molecules_on(movie: Any, found: "TraceSet", **more: Any) -> Points:
-    """Rings at all candidates, green where they are kept."""
+def pair_on(movie: Any, paired: "PairedTraces") -> list[Layer]:
+    """Rings at all candidates in the donor's channel, and the same molecules in the acceptor's."""
+    sides = paired.channels
+    donors = molecules_on(movie, paired.together, sides.donor.corner_px, pair=paired)
+    acceptors = molecules_on(movie, paired.acceptor, sides.acceptor.corner_px)
+    acceptors.name = f"{movie.name}, acceptors"
+    return [donors, acceptors]
+
+
+def molecules_on(movie: Any, found: "TraceSet", corner_px: Any = (0, 0), **more: Any) -> Points:
+    """Rings at all candidates, green where they are kept; their places count from a corner (y, x)."""
     table = found.molecules
     features = table[[name for name in COLUMNS if name in table]].copy()
-    features.insert(1, "y", table["y_px"])
-    features.insert(2, "x", table["x_px"])
+    places = found.positions_px + np.asarray(corner_px)
+    features.insert(1, "y", places[:, 0])
+    features.insert(2, "x", places[:, 1])
     return points_on(
-        movie, found.positions_px, features.reset_index(drop=True), f"{movie.name}, molecules",
+        movie, places, features.reset_index(drop=True), f"{movie.name}, molecules",
         size=max(4.0, 5 * found.sigma_px), face_color="transparent", border_width=0.07, border_color=_colours(table),
         symbol="disc", ours={"traces": found} | more,
     )  # fmt: skip
@@ -149,7 +177,9 @@ class MoleculesPanel(Panel):
         self.points, self.shown = points, None
         found: Any = self.traces
         said = f"{int(found.kept.sum())} molecules kept of {len(found.molecules)} candidates."
-        self.run_bar.say(said if found.path_px is None else f"{said} F{moving_line(found)[1:]}.")
+        pair, followed = stored(points, "pair"), found.path_px is not None
+        more = f" F{moving_line(found)[1:]}." if followed else f" E{efficiency_line(pair)[1:]}." if pair else ""
+        self.run_bar.say(said + more)
         self.plot.clear(HINT)
         points.selected_data.events.items_changed.connect(self._on_selection)
         points.mouse_drag_callbacks.append(self._on_click)
@@ -168,6 +198,11 @@ class MoleculesPanel(Panel):
         self.shown = molecule
         self.toggle_button.setEnabled(True)
         found, trace, lit = traces.molecules.iloc[molecule], traces.all_traces[molecule], traces.lit[molecule]
+        if (pair := stored(self.points, "pair")) is not None:
+            both = pair.donor.all_traces[molecule], pair.acceptor.all_traces[molecule], pair.efficiency[molecule]
+            data = pd.DataFrame({"donor": both[0], "acceptor": both[1], "efficiency": both[2]}).rename_axis("frame")
+            self.plot.draw(drawing("donor_and_acceptor", *both, whole=True), data.reset_index(), molecule_line(found))
+            return
         data = pd.DataFrame({"frame": np.arange(len(trace)), "photoelectrons": trace, "on": lit})
         self.plot.draw(drawing("lit_trace", trace, lit, int(found["bleaching_frame"])), data, molecule_line(found))
 
@@ -195,6 +230,8 @@ class MoleculesPanel(Panel):
             return
         keep = not bool(self.traces.molecules["kept"].iloc[self.shown])
         traces = ours(self.points)["traces"] = self.traces.with_kept([self.shown], keep)
+        if (pair := stored(self.points, "pair")) is not None:
+            ours(self.points)["pair"] = pair.with_kept([self.shown], keep)
         features = self.points.features.copy()
         rows = features["molecule"] == self.shown
         features.loc[rows, ["kept", "reason"]] = [keep, traces.molecules["reason"].iloc[self.shown]]
@@ -205,9 +242,13 @@ class MoleculesPanel(Panel):
 
     def save(self, folder: str) -> str:
         """Write traces.csv and molecules.csv (docs/files.md)."""
+        from napari_mufasa.channels.table import write_pair
         from napari_mufasa.traces.table import write_traces
 
         assert self.traces is not None
+        if (pair := stored(self.points, "pair")) is not None:
+            write_pair(folder, pair)
+            return f"traces.csv, donor.csv, acceptor.csv and molecules.csv in {folder}"
         write_traces(folder, self.traces)
         return f"traces.csv and molecules.csv in {folder}"
 

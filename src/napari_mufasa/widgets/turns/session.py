@@ -37,6 +37,7 @@ class Session(QObject):
     model_changed = Signal()
     movie_changed = Signal()
     traces_changed = Signal()
+    channels_changed = Signal()
 
     def __init__(self, viewer: Viewer | None = None) -> None:
         super().__init__()
@@ -48,6 +49,7 @@ class Session(QObject):
         self._layers: WeakValueDictionary[str, Image] = WeakValueDictionary()
         self.dark_frames = 0
         self.traces: TraceSet | None = None  # the last ones read of a movie
+        self.channels: Any = None  # `Channels`, where two were registered
 
     @property
     def viewer(self) -> Viewer:
@@ -123,6 +125,11 @@ class Session(QObject):
     def set_traces(self, traces: TraceSet) -> None:
         self.traces = traces
         self.traces_changed.emit()
+
+    def set_channels(self, channels: Any) -> None:
+        """The channels of an image splitter, registered; None: there is one channel."""
+        self.channels = channels
+        self.channels_changed.emit()
 
     def _keep(self, name: str, layer: Image | None) -> None:
         self._layers.pop(name, None)
