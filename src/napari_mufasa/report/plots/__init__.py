@@ -37,6 +37,6 @@ from napari_mufasa.report.plots.themes import PALETTES, Palette, Theme, figure, 
 __all__ = [
     "JUDGED_BY", "PALETTES", "Palette", "Theme", "calibration", "contact_sheet", "count_strengths", "curve", "curves",
     "distribution", "distributions", "donor_and_acceptor", "efficiencies", "evidence", "figure", "image_bytes",
-    "lit_trace", "molecules", "montage", "pair_sheet", "power_curve", "predictions", "registration", "side_by_side", "staircase",
-    "strengths", "style", "trace", "w1_bars", "z_scores",
+    "lit_trace", "molecules", "montage", "pair_sheet", "power_curve", "predictions", "registration", "side_by_side",
+    "staircase", "strengths", "style", "trace", "w1_bars", "z_scores",
 ]  # fmt: skip
