@@ -244,10 +244,12 @@ class _Frames:
     def one(self, t: int) -> NDArray[np.float32]:
         """Photons of a single frame, as if it were a block."""
         if self.method in ("none", "source"):
-            return self.recorded(t, t + 1)[0]
-        first, last = self.reach(t, t + 1)
-        ((_, piece),) = self.worked(self.read(first, last), t - first, t - first + 1, 1)
-        return piece[0]
+            piece = self.recorded(t, t + 1)
+        else:
+            first, last = self.reach(t, t + 1)
+            ((_, piece),) = self.worked(self.read(first, last), t - first, t - first + 1, 1)
+        frame: NDArray[np.float32] = piece[0]
+        return frame
 
     def recorded(self, start: int, stop: int) -> NDArray[np.float32]:
         """Photons of frames start … stop - 1 by the methods that know no neighbours and learn nothing."""
