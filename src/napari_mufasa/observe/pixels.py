@@ -52,16 +52,17 @@ def pixel_statistics(
     from napari_mufasa.observe.kernels import in_space, in_time
 
     sums, (peak, peak_frame, second) = in_time(movie, float(baseline_adu))
-    s1, s2, s3, l1, l2, step, right, below = *sums[:5], sums[5:7], *sums[7:]
+    (s1, s2, s3, l1, l2), step, (right, below) = sums[:5], sums[5:7], sums[7:]
     rows, columns, comb = in_space(movie, float(baseline_adu), np.ascontiguousarray(label), parts)
     mean = s1 / n
     variance = s2 / n - mean**2
+    spread = np.maximum(variance, 1e-9)
     third = s3 / n - 3 * mean * s2 / n + 2 * mean**3
     return PixelStatistics(
         n_frames=n,
         mean=mean,
         variance=variance,
-        skewness=third / np.maximum(variance, 1e-9) ** 1.5,
+        skewness=third / (spread * np.sqrt(spread)),
         step_variance=step / max(n - 1, 1),  # each half holds half of the n − 1 differences
         lag1=_autocovariance(l1, s1, movie, baseline_adu, 1),
         lag2=_autocovariance(l2, s1, movie, baseline_adu, 2),

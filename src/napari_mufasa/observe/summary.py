@@ -17,11 +17,13 @@ from scipy import ndimage
 
 from napari_mufasa.observe.table import Table
 from napari_mufasa.spots.follow import Spots
+from napari_mufasa.spots.quantiles import quantiles
 from napari_mufasa.traces.correlation import autocovariance
 from napari_mufasa.traces.dynamics import Dynamics
 
 Array = NDArray[np.float64]
 LAGS = (1, 2, 3, 5, 10, 20, 50)
+COUNT_QUANTILES = (0.05, 0.25, 0.75, 0.95)
 BINS = 5  # time bins of the slow courses
 LEAST_SNR = 0.3  # per frame: below it what is on and what is off cannot be told
 
@@ -35,7 +37,7 @@ class Part:
 
     def holds(self, label: NDArray[np.int8]) -> NDArray[np.bool_]:
         """Which pixels are labelled as of this part."""
-        return np.logical_or.reduce([label == mine for mine in self.labels])
+        return np.asarray(np.logical_or.reduce([label == mine for mine in self.labels]))
 
 
 def telling(states: Dynamics) -> NDArray[np.bool_]:
@@ -84,12 +86,13 @@ def _trimmed_mean(values: Array, cut: float = 0.1) -> float:
     return float(np.sort(values)[drop : values.size - drop].mean())
 
 
-def _quantile(values: Array, q: float, default: float = 0.0) -> float:
-    """Nearest-rank quantile: a partition is much cheaper than `np.quantile`, and this runs hundreds of times."""
+def _ranked(values: Array, shares: Sequence[float], default: float = 0.0) -> list[float]:
+    """Nearest-rank quantiles: a partition is much cheaper than `np.quantile`, and this runs hundreds of times."""
     if not values.size:
-        return default
-    rank = min(int(q * values.size), values.size - 1)
-    return float(np.partition(values, rank)[rank])
+        return [default] * len(shares)
+    ranks = [min(int(q * values.size), values.size - 1) for q in shares]
+    ordered = np.partition(values, sorted(set(ranks)))
+    return [float(ordered[rank]) for rank in ranks]
 
 
 def trace_levels(table: Table, states: Dynamics) -> None:
@@ -98,9 +101,10 @@ def trace_levels(table: Table, states: Dynamics) -> None:
     where = "level of each spot while on"
     middle = _trimmed_mean(logs)
     table.add("level", middle, "brightness of a spot (mean of the middle four fifths)", "ln e⁻", where)
-    table.add("level_spread", _quantile(logs, 0.84) - _quantile(logs, 0.16), "spread of brightness", "ln", where)
-    table.add("level_quantile_low", middle - _quantile(logs, 0.1), "dim spots against the middle", "ln", where)
-    table.add("level_quantile_high", _quantile(logs, 0.95) - middle, "bright spots against the middle", "ln", where)
+    dimmest, dim, bright, brightest = _ranked(logs, (0.1, 0.16, 0.84, 0.95))
+    table.add("level_spread", bright - dim, "spread of brightness", "ln", where)
+    table.add("level_quantile_low", middle - dimmest, "dim spots against the middle", "ln", where)
+    table.add("level_quantile_high", brightest - middle, "bright spots against the middle", "ln", where)
 
 
 def _level_positions(table: Table, states: Dynamics, positions: Array, shape_px: tuple[int, int]) -> None:
@@ -134,12 +138,13 @@ def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
     relative = deviation + 1
     edge = max(2, frames // 100)
 
-    for q in (0.05, 0.25, 0.75, 0.95):
+    counts = relative[on]
+    for q, value in zip(COUNT_QUANTILES, _ranked(counts, COUNT_QUANTILES, 1.0), strict=True):
         table.add(
-            f"count_quantile_{round(q * 100):02d}", _quantile(relative[on], q, 1.0),
+            f"count_quantile_{round(q * 100):02d}", value,
             f"{q:.0%} quantile of counts while on / level", "", "frames in which molecules are on",
         )  # fmt: skip
-    table.log("count_variance", _mean((relative[on] - 1) ** 2, 1.0), "relative variance while on", "traces")
+    table.log("count_variance", _mean((counts - 1) ** 2, 1.0), "relative variance while on", "traces")
     table.add(
         "count_dark",
         _mean((relative < 0.35)[span].astype(float)),
@@ -167,10 +172,11 @@ def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
     )
     bins = np.minimum(t * BINS // max(frames, 1), BINS - 1)
     total = max(float(states.on_level.sum()), 1e-6)
+    together = light.sum(axis=0)
     for b in range(BINS):
         table.add(
             f"ensemble_{b + 1}",
-            light[:, bins == b].mean(axis=1).sum() / total,
+            together[bins == b].mean() / total,
             f"light of all spots, part {b + 1} of {BINS}",
             "level",
             f"time bin {b + 1}",
@@ -184,12 +190,11 @@ def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
     early, late = np.array([_on_mean(light, on, i) for i in (thirds[0], thirds[2])])
     both = np.isfinite(early) & np.isfinite(late) & (early > 0)
     ratio = late[both] / early[both]
-    table.add(
-        "level_trend", _quantile(ratio, 0.5, 1.0) - 1, "change of level while on, last third / first", "", "traces"
-    )
+    fallen, middle, risen = _ranked(ratio, (0.16, 0.5, 0.84), 1.0)
+    table.add("level_trend", middle - 1, "change of level while on, last third / first", "", "traces")
     table.add(
         "level_trend_spread",
-        _quantile(ratio, 0.84, 1.0) - _quantile(ratio, 0.16, 1.0),
+        risen - fallen,
         "spread of that change",
         "",
         "traces",
@@ -230,7 +235,7 @@ def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
 def _running_top(smooth: Array) -> Array:
     if not smooth.size:
         return np.ones((len(smooth), 1))
-    return np.quantile(smooth, 0.95, axis=1, keepdims=True)
+    return quantiles(smooth, [0.95])[0, :, None]
 
 
 def _brightness_of_enders(states: Dynamics, ends: NDArray[np.bool_]) -> float:

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_mufasa.camera.frames import Frames, Stack
+from napari_mufasa.spots.quantiles import quantiles
 
 Image = NDArray[np.float32]
 SHORT_BLOCKS = 200  # at most this many short blocks per movie: bounds the time detection takes
-MIDDLE = 5  # short blocks in a middle block
 BACKGROUND_WIDTH = 2.0  # the filter's negative lobe is this much wider than its centre
 TILE = 16  # px; the noise is the same within a tile
 NARROW_REACH, WIDE_REACH = 3.0, 2.5  # where the two blurs end, in their own sd
@@ -122,11 +122,11 @@ def search(
         if drift_px is not None:
             means = kernels.moved_back(means, np.array([drift_px[f : f + block].mean(axis=0) for f in first]))
         filtered = spot_filter(means, sigma_px)
-        early += filtered[first < frames.n_frames / 5].sum(axis=0)
-        late += filtered[first + block > frames.n_frames * 4 / 5].sum(axis=0)
-        filtered = np.concatenate([recent, filtered])
-        kernels.take_in(filtered, len(recent), MIDDLE, total, steps, shortest, middle)
-        recent = filtered[-(MIDDLE - 1) :]
+        early += filtered[: np.count_nonzero(first < frames.n_frames / 5)].sum(axis=0)
+        late += filtered[np.count_nonzero(first + block <= frames.n_frames * 4 / 5) :].sum(axis=0)
+        filtered = np.concatenate([recent, filtered]) if len(recent) else filtered
+        kernels.take_in(filtered, len(recent), total, steps, shortest, middle)
+        recent = filtered[-(kernels.MIDDLE - 1) :]
         n_blocks += len(means)
     whole = (total / n_blocks).astype(np.float32)
     if n_blocks < 3:  # too short for differences in time: noise from the spread in space
@@ -136,8 +136,8 @@ def search(
     noise *= border_noise((shape[0], shape[1]), sigma_px)
     noise = np.maximum(noise, np.float32(1e-12))
     best = shortest / noise
-    if n_blocks >= MIDDLE:
-        best = np.maximum(best, middle / (noise / np.float32(np.sqrt(MIDDLE))))
+    if n_blocks >= kernels.MIDDLE:
+        best = np.maximum(best, middle / (noise / np.float32(np.sqrt(kernels.MIDDLE))))
     whole_noise = noise / np.float32(np.sqrt(n_blocks))
     # Static structure that is no molecule (uneven light, fixed pattern) limits the long average.
     limited = np.maximum(whole_noise, np.float32(lower_spread(whole)))
@@ -147,11 +147,14 @@ def search(
 def peak_offsets(image: NDArray[np.floating], peaks: NDArray[np.int64]) -> NDArray[np.float64]:
     """Offset (y, x) of a maximum from its pixel (peak, 2), by the parabola through it and its neighbours, at most half
     a pixel."""
-    padded = np.pad(image.astype(float), 1, mode="edge")
-    y, x = peaks.T + 1
+    last, mid = np.array(image.shape) - 1, image[tuple(peaks.T)].astype(float)
     offsets = np.zeros(peaks.shape)
-    for axis, (dy, dx) in enumerate(((1, 0), (0, 1))):
-        low, mid, high = padded[y - dy, x - dx], padded[y, x], padded[y + dy, x + dx]
+    for axis, step in enumerate(([1, 0], [0, 1])):
+        before, after = (
+            np.maximum(peaks - step, 0),
+            np.minimum(peaks + step, last),
+        )  # the edge goes on outside the image
+        low, high = image[tuple(before.T)].astype(float), image[tuple(after.T)].astype(float)
         bend = low - 2 * mid + high
         offset = np.divide(0.5 * (low - high), bend, out=np.zeros(len(peaks)), where=bend < 0)
         offsets[:, axis] = np.clip(offset, -0.5, 0.5)
@@ -160,7 +163,7 @@ def peak_offsets(image: NDArray[np.floating], peaks: NDArray[np.int64]) -> NDArr
 
 def lower_spread(image: NDArray[np.floating]) -> float:
     """Robust sd from the lower half, which spots do not reach."""
-    low, middle = np.percentile(image, [15.87, 50])
+    low, middle = quantiles(image.ravel(), [0.1587, 0.5])
     return float(middle - low)
 
 

@@ -17,6 +17,7 @@ from napari_mufasa.camera.frames import Frames
 from napari_mufasa.spots.drift import SEEN_PX, between, common_path
 from napari_mufasa.spots.evidence import block_means, spot_filter
 from napari_mufasa.spots.find import Found, find_spots, isolation_px, neighbour_px
+from napari_mufasa.spots.quantiles import quantiles
 
 if TYPE_CHECKING:
     from napari_mufasa.model.setup import Camera
@@ -91,9 +92,9 @@ def follow(
 
     blocks (block, y, x) : means of the movie's time blocks; path (block, 2) : common motion, zero at the first
     """
-    from napari_mufasa.spots.kernels import amplitudes
+    from napari_mufasa.spots.kernels import amplitudes, fit_weights
 
-    n_frames, height, width = movie.shape
+    n_frames, *shape = movie.shape
     positions = found.positions_px
     if len(positions) == 0:
         return _nothing(path, n_frames, len(blocks))
@@ -101,16 +102,17 @@ def follow(
     at = positions[:, None] + path[None]  # (molecule, block, 2)
     corner = np.rint(at).astype(np.int64) - half
     size = 2 * half + 1
-    inside = np.all((corner >= 0) & (corner + size <= [height, width]), axis=(1, 2))
-    corner = np.clip(corner, 0, [max(height - size, 0), max(width - size, 0)])
+    inside = np.all((corner >= 0) & (corner + size <= shape), axis=(1, 2))
+    corner = np.clip(corner, 0, [max(n - size, 0) for n in shape])
     # A spot that the path takes out of the field is not `inside`; its weights need only be numbers.
-    weights = _weights(np.clip(at - corner, 0, size - 1), size, sigma_px)  # (molecule, block, 6, size, size)
+    width = float(np.sqrt(sigma_px**2 + 1 / 12))  # with a pixel's own
+    weights = fit_weights(np.clip(at - corner, 0, size - 1), size, width)  # (molecule, block, 6, size, size)
     block_of = block_of_frame(n_frames, len(blocks))
     values = amplitudes(movie, float(baseline_adu), corner, weights[:, :, :3].copy(), block_of) * scale
     patches = _patches((blocks - baseline_adu) * scale, corner, size)
     terms = np.einsum("mbkij,mbij->mbk", weights, patches)
     amplitude = terms[:, :, 0]
-    bright = amplitude > 0.4 * np.quantile(amplitude, 0.9, axis=1, keepdims=True)
+    bright = amplitude > 0.4 * quantiles(amplitude, [0.9])[0, :, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         moved = np.where(bright[..., None], terms[:, :, 1:3] / amplitude[..., None], np.nan)
     return Spots(
@@ -133,36 +135,6 @@ def _nothing(path: Array, n_frames: int, n_blocks: int) -> Spots:
         np.zeros((0, 2)), path, np.zeros((0, n_frames)), none, none, np.zeros((0, n_blocks, 2)),
         np.zeros((0, n_blocks)), np.zeros((0, n_blocks, 3)), np.zeros((0, n_blocks)), np.zeros((n_frames, 0, 2)),
     )  # fmt: skip
-
-
-def _weights(centre: Array, size: int, sigma_px: float) -> Array:
-    """Rows of the pseudo-inverse for light, its shift (y, x) and its change of σ²/2 (yy, xx) and shear (yx).
-
-    Terms of the Taylor series of a Gaussian spot: G, −∂G, ½∂²G …, plus a constant. The derivatives beyond
-    the shift are orthogonalised after the first four, so that light and shift keep their small variance.
-    """
-    sigma_px = float(np.sqrt(sigma_px**2 + 1 / 12))  # a pixel's own width
-    grid = np.arange(size)
-    dy: Array = grid - centre[..., 0, None]  # (molecule, block, size)
-    dx: Array = grid - centre[..., 1, None]
-    gy: Array = np.exp(-(dy**2) / (2 * sigma_px**2)) / (np.sqrt(2 * np.pi) * sigma_px)
-    gx: Array = np.exp(-(dx**2) / (2 * sigma_px**2)) / (np.sqrt(2 * np.pi) * sigma_px)
-    ty, tx = dy / sigma_px**2, dx / sigma_px**2
-    cy, cx = (dy**2 - sigma_px**2) / sigma_px**4, (dx**2 - sigma_px**2) / sigma_px**4
-
-    def outer(a: Array, b: Array) -> Array:
-        return a[..., :, None] * b[..., None, :]
-
-    one = np.ones_like(dy)
-    few = [outer(gy, gx), outer(gy * ty, gx), outer(gy, gx * tx), outer(one, one)]
-    more = [0.5 * outer(gy * cy, gx), 0.5 * outer(gy, gx * cx), outer(gy * ty, gx * tx)]
-    design: Array = np.stack([t.reshape(*t.shape[:-2], -1) for t in few + more], axis=-2)  # (…, term, pixel)
-    gram = design @ np.swapaxes(design, -1, -2)
-    n = len(few)
-    small = np.linalg.inv(gram[..., :n, :n])[..., :3, :] @ design[..., :n, :]
-    large = np.linalg.inv(gram)[..., n:, :] @ design
-    both: Array = np.concatenate([small, large], axis=-2)
-    return both.reshape(*both.shape[:-1], size, size)
 
 
 def _patches(images: NDArray[np.floating[Any]], corner: NDArray[np.int64], size: int) -> Array:

@@ -10,6 +10,9 @@ import numpy as np
 
 from napari_mufasa.compiled import inlined, vectorised
 
+MIDDLE = 5  # short blocks in a middle block
+TERMS = 7  # of the Taylor series of a spot, and a constant
+
 
 @vectorised
 def block_means(stack, edges):  # type: ignore[no-untyped-def]
@@ -84,29 +87,25 @@ def spot_filter(images, narrow, wide, rows, columns):  # type: ignore[no-untyped
 
 
 @vectorised
-def take_in(filtered, known, middle_length, total, steps, shortest, middle):  # type: ignore[no-untyped-def]
+def take_in(filtered, known, total, steps, shortest, middle):  # type: ignore[no-untyped-def]
     """Take filtered images (image, y, x) into their sum, their squared steps, and the largest value of one and of the
-    mean of `middle_length` in a row; the first `known` of them were taken in before."""
+    mean of `MIDDLE` in a row; the first `known` of them were taken in before."""
     n, height, width = filtered.shape
-    share = np.float32(1.0 / middle_length)
-    run = np.empty(width, np.float32)
+    share = np.float32(1.0 / MIDDLE)
     for i in range(known, n):
         for y in range(height):
+            now, before = filtered[i, y], filtered[i - 1, y]
             for x in range(width):
-                v = filtered[i, y, x]
-                total[y, x] += v
-                shortest[y, x] = max(shortest[y, x], v)
+                total[y, x] += now[x]
+                shortest[y, x] = max(shortest[y, x], now[x])
             if i > 0:
                 for x in range(width):
-                    step = filtered[i, y, x] - filtered[i - 1, y, x]
+                    step = now[x] - before[x]
                     steps[y, x] += step * step
-            if i + 1 >= middle_length:
-                run[:] = 0.0
-                for j in range(i + 1 - middle_length, i + 1):
-                    for x in range(width):
-                        run[x] += filtered[j, y, x]
+            if i + 1 >= MIDDLE:
+                a, b, c = filtered[i - 4, y], filtered[i - 3, y], filtered[i - 2, y]
                 for x in range(width):
-                    middle[y, x] = max(middle[y, x], run[x] * share)
+                    middle[y, x] = max(middle[y, x], (a[x] + b[x] + c[x] + before[x] + now[x]) * share)
 
 
 @vectorised
@@ -131,6 +130,59 @@ def moved_back(images, shifts):  # type: ignore[no-untyped-def]
 
 
 @vectorised
+def fit_weights(centre, size, sigma):  # type: ignore[no-untyped-def]
+    """Weights (molecule, block, 6, y, x) that give a spot's light, its shift (y, x) and its change of σ²/2 (yy, xx) and
+    shear (yx), for spots at `centre` (molecule, block, 2) in windows of `size` pixels a side.
+
+    Rows of the pseudo-inverse of the terms of the Taylor series of a Gaussian spot: G, −∂G, ½∂²G …, plus a constant.
+    The derivatives beyond the shift are orthogonalised after the first four, so that light and shift keep their small
+    variance. A term is a product of one along y and one along x, so sums of products of two are, too.
+    """
+    n_molecules, n_blocks, _ = centre.shape
+    result = np.empty((n_molecules, n_blocks, 6, size, size))
+    along, gram, inverse = np.ones((2, TERMS, size)), np.empty((TERMS, TERMS)), np.empty((TERMS, TERMS))
+    for m in range(n_molecules):
+        for b in range(n_blocks):
+            for axis in range(2):
+                for i in range(size):
+                    d = i - centre[m, b, axis]
+                    g = np.exp(-d * d / (2.0 * sigma**2)) / (np.sqrt(2.0 * np.pi) * sigma)
+                    slope, bend = g * d / sigma**2, 0.5 * g * (d * d - sigma**2) / sigma**4
+                    along[axis, 0, i], along[axis, 1 + axis, i], along[axis, 2 - axis, i] = g, slope, g
+                    along[axis, 4 + axis, i], along[axis, 5 - axis, i], along[axis, 6, i] = bend, g, slope
+            for k in range(TERMS):
+                for j in range(TERMS):
+                    gram[k, j] = (along[0, k] * along[0, j]).sum() * (along[1, k] * along[1, j]).sum()
+            for first, last, n in ((0, 3, 4), (4, 7, TERMS)):
+                invert(gram, n, inverse)
+                for k in range(first, last):
+                    window = result[m, b, k if k < 3 else k - 1]
+                    window[:] = 0.0
+                    for j in range(n):
+                        for y in range(size):
+                            share = inverse[k, j] * along[0, j, y]
+                            for x in range(size):
+                                window[y, x] += share * along[1, j, x]
+    return result
+
+
+@inlined
+def invert(matrix, n, inverse):  # type: ignore[no-untyped-def]
+    """The inverse of the first n rows and columns of a symmetric positive matrix (Gauss and Jordan, in place)."""
+    inverse[:n, :n] = matrix[:n, :n]
+    for p in range(n):
+        pivot = 1.0 / inverse[p, p]
+        inverse[p, p] = 1.0
+        for j in range(n):
+            inverse[p, j] *= pivot
+        for i in range(n):
+            if i != p:
+                factor, inverse[i, p] = inverse[i, p], 0.0
+                for j in range(n):
+                    inverse[i, j] -= factor * inverse[p, j]
+
+
+@vectorised
 def amplitudes(movie, baseline, corner, weights, block_of):  # type: ignore[no-untyped-def]
     """Weighted sums (molecule, frame, term) of the counts in each spot's window."""
     n_molecules, n_blocks, n_terms, size, _ = weights.shape
@@ -143,12 +195,13 @@ def amplitudes(movie, baseline, corner, weights, block_of):  # type: ignore[no-u
             b = block_of[t]
             y0, x0 = corner[m, b, 0], corner[m, b, 1]
             for i in range(size):
+                line, place = movie[t, y0 + i, x0 : x0 + size], values[i * size : (i + 1) * size]
                 for j in range(size):
-                    values[i * size + j] = movie[t, y0 + i, x0 + j] - baseline
+                    place[j] = line[j] - baseline
             for k in range(n_terms):
-                total = 0.0
+                weight, total = rows[m, b, k], 0.0
                 for p in range(size * size):
-                    total += rows[m, b, k, p] * values[p]
+                    total += weight[p] * values[p]
                 result[m, t, k] = total
     return result
 
