@@ -89,7 +89,7 @@ def efficiency(n: int, channels: Channels) -> Iterator[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--movies", type=int, default=8)
+    parser.add_argument("--movies", type=int, default=6)
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
     channels = register(simulate_pair(BEADS, 0.5, splitter, seed=5).movie)

@@ -49,6 +49,11 @@ BAD_COMMANDS: dict[str, tuple[str, str]] = {
 }  # fmt: skip
 
 
+#: Movies that have no room for two channels, which is seen before a pixel is read; and counts that may be beads in
+#: another unit than a camera's.
+REFUSED_OTHERWISE: dict[str, str] = {"zarr, cut chunk": "narrower", "negative": "no spot stands out"}
+
+
 @pytest.mark.parametrize("case", BAD_COMMANDS)
 def test_a_command(case, capfd, more):
     words, expected = BAD_COMMANDS[case]
@@ -58,11 +63,10 @@ def test_a_command(case, capfd, more):
 @pytest.mark.parametrize("case", MOVIES)
 def test_a_movie_file_to_register(case, capfd, place):
     make, word = MOVIES[case]
-    try:
-        refused(capfd, place, word, "register", make(place / "in"), "--out", "out/c.json")
-    except AssertionError:
-        # Counts that only a camera could not have recorded may be beads in another unit, but these hold none.
-        refused(capfd, place, "", "register", make(place / "in"), "--out", "out/c.json")
+    movie = make(place / "in")
+    if case in REFUSED_OTHERWISE:
+        word = REFUSED_OTHERWISE[case]
+    refused(capfd, place, word, "register", movie, "--out", "out/c.json")
 
 
 @pytest.mark.parametrize("case", BAD_STACKS)

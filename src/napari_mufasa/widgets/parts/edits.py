@@ -114,6 +114,7 @@ class HeldEdit(FileEdit):
         is_new = text != self.line_edit.native.text()
         self._shown, self._kept = text, value
         self.line_edit.native.setText(text)
+        self.line_edit.native.setCursorPosition(0)
         if is_new:
             self.changed.emit(value)
 

@@ -86,7 +86,7 @@ def rectangles_on(movie: Any, split: Split) -> Shapes:
     return Shapes(
         outlines, shape_type="rectangle", name=f"{movie.name}, channels", face_color="transparent",
         edge_color=["#63d297", "#ffa94d"], edge_width=max(1.0, max(movie.data.shape[-2:]) / 200),
-        features={"channel": SIDES}, text={"string": "{channel}", "color": "white", "anchor": "upper_left"},
+        features={"channel": SIDES}, text={"string": "{channel}", "color": "white", "anchor": "center"},
         **plane_of(movie),
     )  # fmt: skip
 
