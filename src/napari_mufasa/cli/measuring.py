@@ -25,6 +25,7 @@ from napari_mufasa.cli.options import (
     Overwrite,
     ProfileName,
     Resume,
+    Scheduler,
     Seed,
     ThresholdName,
     TimesName,
@@ -59,6 +60,7 @@ def denoise(
         typer.Option("--dark", metavar="DARK", help="Or frames without light: an EMCCD is measured on the data."),
     ] = None,
     method: Annotated[MethodName, typer.Option("--method", help="Which estimator.")] = "pure-let-movie",
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
 ) -> None:
@@ -81,12 +83,12 @@ def denoise(
     if believed is not None:
         console.tell_disagreement(read, believed)
     console.check_room(out, 4 * math.prod(recorded.shape))
-    with console.working("denoising") as work:
+    with console.working("denoising", scheduler) as work:
         background = None if dark is None else files.load(dark)
         camera = believed.camera if believed is not None else measured_camera(recorded, background, work.cancel)
 
         def blocks(first: int) -> Iterator[tuple[int, Any]]:
-            yield from denoised(recorded, camera, method=method, first=first, **work.both())
+            yield from denoised(recorded, camera, method=method, first=first, **work.all())
 
         made_from = {"denoise": method, "camera": camera.model_dump(mode="json"), **files.signature(movie)}
         files.write_movie(
@@ -141,6 +143,7 @@ def traces(
     min_snr: Annotated[float, typer.Option("--min-snr", min=0, metavar="R", help="Level over noise per frame.")] = 1.0,
     hdf5: Annotated[bool, typer.Option("--hdf5", help="Also write traces.h5, traces and table in one file.")] = False,
     openfret: Annotated[bool, typer.Option("--openfret", help="Also write traces.openfret.json.")] = False,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
@@ -156,12 +159,12 @@ def traces(
     recorded = read.data
     console.tell_disagreement(read, believed)
     background = None if dark is None else files.load(dark)
-    with console.working("traces") as work:
+    with console.working("traces", scheduler) as work:
         found = extract_traces(
             recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, window=window, best=best,
             max_steps=max_steps, min_steps=min_steps, follow_drift=follow_drift, profile=profile,
             subtract_background=not with_background, threshold=threshold, threshold_value=threshold_value,
-            min_snr=min_snr, **_following(follow_molecules, max_step, max_gap), **work.both(),
+            min_snr=min_snr, **_following(follow_molecules, max_step, max_gap), **work.all(),
         )  # fmt: skip
     with console.filling(out, believed, None, (movie, model, dark)) as folder:
         write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)

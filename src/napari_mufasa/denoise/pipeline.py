@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 import warnings
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -15,11 +16,13 @@ import numpy as np
 from napari_mufasa import camera as cam
 from napari_mufasa import checks
 from napari_mufasa.camera import readout
+from napari_mufasa.cluster import in_order
 from napari_mufasa.errors import Cancelled, MufasaError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from distributed import Client
     from numpy.typing import NDArray
 
     from napari_mufasa.model.setup import Camera
@@ -47,6 +50,7 @@ def denoise(
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
     out: Any = None,
+    client: Client | None = None,
 ) -> NDArray[np.float32]:
     """Estimate the light that reached the detector: photons per pixel and frame.
 
@@ -74,6 +78,9 @@ def denoise(
         Asked before every block; True stops with `Cancelled`.
     out : array-like (frame, y, x), optional
         Written to instead of a new array, for example a zarr array for a movie larger than memory.
+    client : distributed.Client, optional
+        Of a cluster whose workers denoise the blocks; the movie is read, and the weights are learnt, here
+        (docs/clusters.md).
 
     Returns
     -------
@@ -95,7 +102,7 @@ def denoise(
     if (room := tuple(getattr(result, "shape", ()))) != shape:
         raise MufasaError(f"out has shape {room}, the movie {shape}; give the same shape")
     shared: dict[str, Any] = {"dark": dark, "method": method, "excess_noise": excess_noise}
-    for start, block in denoised(movie, camera, **shared, progress=progress, cancel=cancel):
+    for start, block in denoised(movie, camera, **shared, progress=progress, cancel=cancel, client=client):
         result[start : start + len(block)] = block
     return result
 
@@ -110,6 +117,7 @@ def denoised(
     first: int = 0,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """`denoise`, block by block: (first frame of the block, photons (frame, y, x)) in order, for movies larger than
     memory. Begins with the block that frame ``first`` lies in."""
@@ -123,15 +131,32 @@ def denoised(
         warnings.warn("the camera given is used: dark frames are for measuring one where none is given", stacklevel=3)
     checks.need(camera, Camera, "camera", "give model.camera")
     shape = tuple(movie.shape)
-    worker = _Frames(movie, camera, shape, method, excess_noise)
-    worker.learn(cancel)
+    frames = _Frames(movie, camera, shape, method, excess_noise)
+    frames.learn(cancel)
     size = block_frames(shape)
-    for start in range(first // size * size, shape[0], size):
+    spans = [(start, min(start + size, shape[0])) for start in range(first // size * size, shape[0], size)]
+    blocks: Iterator[NDArray[np.float32]]
+    if client is None:
+        blocks = (frames.photons(frames.block(*span)) for span in spans)
+    else:
+        blocks = in_order(
+            frames.without_movie().photons, (frames.block(*span) for span in spans), client=client, cancel=cancel
+        )
+    for start, stop in spans:
         _stop_if(cancel)
-        stop = min(start + size, shape[0])
-        yield start, cam.photons(worker.block(start, stop), camera)
+        yield start, next(blocks)
         if progress is not None:
             progress(stop, shape[0])
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Recorded frames `begins` … of which start … stop − 1 are to be denoised; the others are their neighbours."""
+
+    counts: Array
+    begins: int
+    start: int
+    stop: int
 
 
 def block_frames(shape: tuple[int, ...]) -> int:
@@ -159,6 +184,7 @@ class _Frames:
 
     def __init__(self, movie: Any, camera: Camera, shape: tuple[int, ...], method: Method, excess_noise: bool) -> None:
         self.movie, self.camera, self.shape = movie, camera, shape
+        self.workers = WORKERS
         # A single frame has no past or future: what is best for single frames is best for it.
         self.method = "pure-let-patches" if method == "pure-let-movie" and shape[0] == 1 else method
         self.alpha = cam.multiplication_noise(camera) if excess_noise else 1.0
@@ -173,10 +199,15 @@ class _Frames:
 
     def read(self, start: int, stop: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
         """Recorded frames, or a tile of them, as photoelectrons."""
-        counts, camera = np.asarray(self.movie[(slice(start, stop), *tile)]), part_of(self.camera, tile)
+        return self.electrons(np.asarray(self.movie[(slice(start, stop), *tile)]), start, tile)
+
+    def electrons(self, counts: Array, start: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
+        """Counts of recorded frames from `start` on, or of a tile of them, as photoelectrons."""
+        camera = part_of(self.camera, tile)
         if counts.dtype.kind == "f" and not np.all(np.isfinite(counts)):
             raise MufasaError(
-                f"movie frames {start} to {stop - 1} hold values that are not finite: crop or fill them first"
+                f"movie frames {start} to {start + len(counts) - 1} hold values that are not finite: "
+                "crop or fill them first"
             )
         cam.check_counts(counts, camera)
         return cam.photoelectrons(counts, camera, start)
@@ -233,18 +264,33 @@ class _Frames:
         """The block with the neighbours that its frames look at."""
         return max(0, start - self.neighbours), min(self.shape[0], stop + self.neighbours)
 
-    def block(self, start: int, stop: int) -> NDArray[np.float32]:
-        """Denoised photoelectrons of frames start … stop - 1."""
-        if self.method == "none":
-            return self.read(start, stop)
+    def block(self, start: int, stop: int) -> _Block:
+        """Frames start … stop - 1 as they are recorded, with the neighbours that they look at."""
+        first, last = self.reach(start, stop)
+        return _Block(np.asarray(self.movie[first:last]), first, start, stop)
+
+    def without_movie(self) -> _Frames:
+        """What another process needs to denoise blocks, one thread each: its cores may have other blocks."""
+        frames = copy.copy(self)
+        frames.movie, frames.workers = None, 1
+        return frames
+
+    def photons(self, block: _Block) -> NDArray[np.float32]:
+        """Denoised photons per pixel of a block's frames."""
+        return cam.photons(self.denoised(block), self.camera)
+
+    def denoised(self, block: _Block) -> NDArray[np.float32]:
+        """Denoised photoelectrons of a block's frames."""
+        start, stop, first = block.start, block.stop, block.begins
         if self.method == "source":
-            return source_recipe(np.asarray(self.movie[start:stop]), self.camera, start)
+            return source_recipe(block.counts, self.camera, start)
+        data = self.electrons(block.counts, first)
+        if self.method == "none":
+            return data
         from . import patches
         from .purelet import LEVELS
         from .temporal import apply_frame, sights
 
-        first, last = self.reach(start, stop)
-        data = self.read(first, last)
         out = np.empty((stop - start, *self.shape[1:]), np.float32)
 
         def one(t: int, sight: Any) -> None:
@@ -255,12 +301,12 @@ class _Frames:
 
         typical = self.noise(data[(start + stop) // 2 - first])
         # The kernels release the interpreter: threads share the block's frames.
-        with ThreadPoolExecutor(max_workers=min(WORKERS, stop - start)) as pool:
+        with ThreadPoolExecutor(max_workers=min(self.workers, stop - start)) as pool:
             work: deque[Any] = deque()
             for t, sight in sights(data, start - first, stop - first, typical, self.neighbours):
                 work.append(pool.submit(one, t, sight))
                 # What the past and future show of a frame is let go as soon as the frame is done.
-                if len(work) > 2 * WORKERS:
+                if len(work) > 2 * self.workers:
                     work.popleft().result()
             for done in work:
                 done.result()
