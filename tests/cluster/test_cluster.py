@@ -180,7 +180,12 @@ def movies(tmp_path):
 
 
 def written(folder: Path) -> dict[str, bytes]:
-    found = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """What is in each file; of a movie its pixels: every denoised one has a UUID of its own."""
+    found = {
+        str(path.relative_to(folder)): files.load(path).tobytes() if path.suffix == ".tif" else path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
     assert not [name for name in found if Path(name).name.startswith(".")]
     return found
 
@@ -244,6 +249,11 @@ def test_bad_input_is_told(client):
         list(cluster.in_order(lambda n: n, [1], client=client))
     with client.as_current(), pytest.raises(nm.MufasaError, match="set_as_default=False"):
         cluster.check(client)
+    with (
+        distributed.Client(client.scheduler.address) as default,
+        pytest.raises(nm.MufasaError, match="set_as_default=False"),
+    ):
+        nm.simulate(small(), client=default)
     client.close()
     with pytest.raises(nm.MufasaError, match="client is closed"):
         nm.denoise(np.full((30, 32, 32), 400, np.uint16), small().camera, method="none", client=client)

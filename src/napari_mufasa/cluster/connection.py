@@ -64,7 +64,7 @@ def check(client: Any) -> None:
     if client.status != "running":
         raise MufasaError("client is closed: open a new one with distributed.Client(ADDRESS)")
     with contextlib.suppress(ValueError):  # there is none
-        if distributed.default_client() is client:
+        if distributed.Client.current() is client:
             raise MufasaError(
                 "client is the default one, by which dask would also read movies: open it with "
                 "distributed.Client(ADDRESS, set_as_default=False)"
