@@ -32,14 +32,21 @@ def command(arguments: Sequence[str]) -> Iterator[None]:
             skip = not skip and name in WHERE and not equals
             continue
         kept.append(f"{name}={_name(value)}" if equals and argument.startswith("--") else _name(argument))
-    token = _command.set(shlex.join(kept))
+    with by(shlex.join(kept)):
+        yield
+
+
+@contextmanager
+def by(text: str | None) -> Iterator[None]:
+    """Outputs made inside say that this command made them, as `made_by` told it elsewhere."""
+    token = _command.set(text)
     try:
         yield
     finally:
         _command.reset(token)
 
 
-WHERE, HOW = ("--out", "--truth"), ("--overwrite", "--resume", "--debug")
+WHERE, HOW = ("--out", "--truth", "--scheduler"), ("--overwrite", "--resume", "--debug")
 
 
 def _name(text: str) -> str:

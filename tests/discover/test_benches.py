@@ -30,9 +30,9 @@ def test_dark_frames_of_cameras_that_differ_in_a_few_pixels_are_not_taken_for_ea
     plain, patch = (model.with_values({"camera.offset_map_adu": offset}) for offset in (np.zeros((48, 48)), raised))
     assert repr(plain.camera) == repr(patch.camera)
     bench = MovieBench(prepare(nm.simulate(plain, seed=1).movie, plain, nm.simulate_dark(plain, 20, 2)), 1)
-    means = [bench._dark_view(m, 5).tables[0].values["dark_mean"] for m in (plain, patch, plain)]
+    means = [bench.simulated.dark_view(m, 5).tables[0].values["dark_mean"] for m in (plain, patch, plain)]
     assert means[1] - means[0] == pytest.approx(40.0 * (28 / 48) ** 2, rel=0.1) and means[2] == means[0]
-    assert len(bench._dark) == 2  # made once for each
+    assert len(bench.simulated._dark) == 2  # made once for each
 
 
 class GapBench(Bench):

@@ -15,6 +15,7 @@ FLOORS = (
     ("chance",),
     ("files",),
     ("model",),
+    ("cluster",),
     ("photophysics", "optics"),
     ("camera",),
     ("simulate",),

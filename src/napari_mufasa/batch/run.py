@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +13,12 @@ from napari_mufasa import checks, files, provenance
 from napari_mufasa.batch.movies import Entry
 from napari_mufasa.batch.settings import Settings
 from napari_mufasa.batch.steps import STEPS
-from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.cluster import in_order, unwanted
+from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from napari_mufasa.model.model import Model
 
 DONE = "done.json"
@@ -35,11 +38,13 @@ class Result:
 def run(
     entries: Sequence[Entry], out: Path, settings: Settings, *, overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None, cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
 ) -> Iterator[Result]:  # fmt: skip
     """Do each movie in turn; results go to `out`/NAME/STEP, and what is finished there is not done again.
 
     A step is finished when its done.json is there, which is written last; it says what the step was done with. A movie
-    that cannot be done is told in its result, and the others go on.
+    that cannot be done is told in its result, and the others go on. With the `client` of a cluster its workers do the
+    movies; they read and write the same files, at the same paths as this machine (docs/clusters.md).
 
     Raises
     ------
@@ -56,41 +61,68 @@ def run(
         for entry, identity in zip(entries, identities, strict=True):
             for step in settings.steps:
                 _check_same(out / entry.name / step, identity[step])
-    for number, (entry, identity) in enumerate(zip(entries, identities, strict=True)):
-        if cancel is not None and cancel():
-            raise Cancelled
-        yield _movie(entry, models[entry.model], out / entry.name, settings, identity, cancel)
+    movies = [
+        _Movie(entry, models[entry.model], out / entry.name, settings, identity)
+        for entry, identity in zip(entries, identities, strict=True)
+    ]
+    if client is None:
+        results = in_order(lambda movie: movie.done(cancel), movies, workers=0, cancel=cancel)
+    else:
+        results = in_order(_there, [movie.seen_from_anywhere() for movie in movies], client=client, cancel=cancel)
+    for number, result in enumerate(results):
+        yield replace(result, entry=entries[number])
         if progress is not None:
             progress(number + 1, len(entries))
 
 
-def _movie(
-    entry: Entry, model: Model, folder: Path, settings: Settings, identity: dict[str, dict[str, Any]],
-    cancel: Callable[[], bool] | None,
-) -> Result:  # fmt: skip
-    begun, told, kept = time.monotonic(), dict[str, Any](), list[str]()
-    try:
-        read, dark = None, None
-        for step in settings.steps:
-            done = _done(folder / step)
-            if done is not None and done["made_from"] == identity[step]:
-                told |= done["told"]
-                kept.append(step)
-                continue
-            if read is None:
-                read = files.read_movie(entry.movie)
-                dark = None if entry.dark is None else files.load(entry.dark)
-                told |= dict(zip(("frames", "height", "width"), read.data.shape, strict=True))
-            if done is not None:  # of another run; while its parts are replaced it is none
-                (folder / step / DONE).unlink()
-            with files.filling(folder / step) as temporary:
-                said = STEPS[step](temporary, read, model, dark, settings, cancel=cancel)
-            said |= dict(zip(("frames", "height", "width"), read.data.shape, strict=True))
-            files.write_json(folder / step / DONE, {"made_from": identity[step], "told": said, **provenance.made_by()})
-            told |= files.whole.plain(said)
-    except MufasaError as error:
-        return Result(entry, told, str(error), tuple(kept), time.monotonic() - begun)
-    return Result(entry, told, "", tuple(kept), time.monotonic() - begun)
+@dataclass(frozen=True)
+class _Movie:
+    """What is done to a movie: the steps of `settings`, their results in `folder`, each finished one with what it was
+    done with (`identity`)."""
+
+    entry: Entry
+    model: Model
+    folder: Path
+    settings: Settings
+    identity: dict[str, dict[str, Any]]
+
+    def seen_from_anywhere(self) -> _Movie:
+        """The same with whole paths."""
+        dark = None if self.entry.dark is None else self.entry.dark.absolute()
+        entry = replace(self.entry, movie=self.entry.movie.absolute(), dark=dark)
+        return replace(self, entry=entry, folder=self.folder.absolute())
+
+    def done(self, cancel: Callable[[], bool] | None) -> Result:
+        begun, told, kept = time.monotonic(), dict[str, Any](), list[str]()
+        entry, settings, identity = self.entry, self.settings, self.identity
+        try:
+            read, dark = None, None
+            for step in settings.steps:
+                place = self.folder / step
+                done = _done(place)
+                if done is not None and done["made_from"] == identity[step]:
+                    told |= done["told"]
+                    kept.append(step)
+                    continue
+                if read is None:
+                    read = files.read_movie(entry.movie)
+                    dark = None if entry.dark is None else files.load(entry.dark)
+                    told |= dict(zip(("frames", "height", "width"), read.data.shape, strict=True))
+                if done is not None:  # of another run; while its parts are replaced it is none
+                    (place / DONE).unlink()
+                with files.filling(place) as temporary:
+                    said = STEPS[step](temporary, read, self.model, dark, settings, cancel=cancel)
+                said |= dict(zip(("frames", "height", "width"), read.data.shape, strict=True))
+                files.write_json(place / DONE, {"made_from": identity[step], "told": said, **provenance.made_by()})
+                told |= files.whole.plain(said)
+        except MufasaError as error:
+            return Result(entry, told, str(error), tuple(kept), time.monotonic() - begun)
+        return Result(entry, told, "", tuple(kept), time.monotonic() - begun)
+
+
+def _there(movie: _Movie) -> Result:
+    """A movie on a worker of a cluster, until nobody waits for it any more."""
+    return movie.done(unwanted)
 
 
 def _model(path: Path | None) -> Model:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +14,18 @@ from numpy.typing import NDArray
 from napari_mufasa import camera as detector
 from napari_mufasa import checks
 from napari_mufasa.camera.darkness import light_in_dark
+from napari_mufasa.cluster import in_order
 from napari_mufasa.errors import Cancelled, MufasaError
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from napari_mufasa.model.setup import Camera
 
 Unit = Literal["adu", "photoelectrons", "photons"]
 Progress = Callable[[int, int], None]
 Stack = NDArray[np.float32]
+Done = TypeVar("Done")
 BLOCK_BYTES = 16 * 2**20  # float32 pixels held at once
 
 
@@ -32,15 +38,18 @@ class Frames:
     camera : the detector, to get from ADU to photoelectrons
     dark : dark frames (frame, y, x) or (y, x) in the movie's unit; they replace the camera's baseline
     unit : what the movie's numbers are
+    client : of a cluster that does what is to be done to each block (see `worked`)
     """
 
-    def __init__(self, movie: Any, camera: Camera, dark: Any = None, unit: Unit = "adu") -> None:
+    def __init__(
+        self, movie: Any, camera: Camera, dark: Any = None, unit: Unit = "adu", client: Client | None = None
+    ) -> None:
         from napari_mufasa.model.setup import Camera
 
         self.movie = movie = checks.stack(movie)
         checks.choice(unit, "unit", get_args(Unit))
         checks.need(camera, Camera, "camera", "give model.camera")
-        self.unit = unit
+        self.unit, self.client = unit, client
         self.shape: tuple[int, int, int] = (int(movie.shape[0]), int(movie.shape[1]), int(movie.shape[2]))
         self.camera = camera if dark is None else with_dark_baseline(camera, dark, self.shape[1:], unit)
         if dark is not None and (told := light_in_dark(movie, checks.stack(dark, "dark", single=True))):
@@ -58,15 +67,36 @@ class Frames:
     ) -> Iterator[tuple[int, NDArray[Any]]]:
         """(first frame, numbers as they are stored) in order; every block but the last has a multiple of `multiple`
         frames. Raises `MufasaError` for numbers that this camera cannot have recorded."""
-        size = max(multiple, self.block_frames() // multiple * multiple)
-        for start in range(0, self.n_frames, size):
+        for start, raw in self._stored(multiple):
             if cancel is not None and cancel():
                 raise Cancelled
-            raw = np.asarray(self.movie[start : start + size])
-            self._check(raw)
+            self.check(raw)
             yield start, raw
             if report is not None:
                 report(len(raw))
+
+    def _stored(self, multiple: int = 1) -> Iterator[tuple[int, NDArray[Any]]]:
+        size = max(multiple, self.block_frames() // multiple * multiple)
+        for start in range(0, self.n_frames, size):
+            yield start, np.asarray(self.movie[start : start + size])
+
+    def worked(
+        self,
+        work: Callable[[Frames, int, NDArray[Any], Any], Done],
+        beside: Callable[[slice], Any] = lambda span: None,
+        multiple: int = 1,
+        report: Callable[[int], None] | None = None,
+        cancel: Callable[[], bool] | None = None,
+    ) -> Iterator[tuple[int, Done]]:
+        """(first frame, ``work(frames, first frame, counts, beside)``) of the same blocks, in order. `beside` tells
+        what else is known of a block's frames. Workers of a cluster are sent these and the block, not the movie."""
+        frames = copy.copy(self)
+        frames.movie = frames.client = None
+        jobs = ((start, counts, beside(slice(start, start + len(counts)))) for start, counts in self._stored(multiple))
+        for start, n, done in in_order(_Pass(frames, work), jobs, client=self.client, workers=0, cancel=cancel):
+            yield start, done
+            if report is not None:
+                report(n)
 
     def check_light(self) -> None:
         """Raise `MufasaError` for a movie that shows nothing: saturated, or the same in all pixels or all frames.
@@ -104,11 +134,11 @@ class Frames:
     ) -> Iterator[tuple[int, Stack]]:
         """(first frame, photoelectrons) in order."""
         for start, raw in self.counts(report=report, cancel=cancel):
-            yield start, self._photoelectrons(raw, start)
+            yield start, self.electrons(raw, start)
 
     def photoelectrons(self, raw: NDArray[Any], first_frame: int = 0) -> Stack:
-        self._check(raw)
-        return self._photoelectrons(raw, first_frame)
+        self.check(raw)
+        return self.electrons(raw, first_frame)
 
     def flat(self, counts: Stack) -> Stack:
         """Counts, or means of them, as if all pixels had the same offset and gain: what finding spots needs, in any
@@ -120,18 +150,33 @@ class Frames:
             counts = (counts - np.float32(camera.baseline_adu)) / camera.gain_map.astype(np.float32)
         return counts
 
-    def _check(self, raw: NDArray[Any]) -> None:
+    def check(self, raw: NDArray[Any]) -> None:
+        """Raise `MufasaError` for numbers that this camera cannot have recorded."""
         if raw.dtype.kind == "f" and not np.isfinite(raw).all():
             raise MufasaError("movie has values that are not finite: mask or crop those frames first")
         if self.unit == "adu":
             detector.check_counts(raw, self.camera)
 
-    def _photoelectrons(self, raw: NDArray[Any], first_frame: int) -> Stack:
+    def electrons(self, raw: NDArray[Any], first_frame: int) -> Stack:
+        """The same of counts that have been checked."""
         if self.unit == "adu":
             return detector.photoelectrons(raw, self.camera, first_frame)
         if self.unit == "photons":
             return np.asarray(raw, np.float32) * np.float32(self.camera.quantum_efficiency)
         return np.asarray(raw, np.float32)
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """What is done to each block, on its way to a worker."""
+
+    frames: Frames
+    work: Callable[[Frames, int, NDArray[Any], Any], Any]
+
+    def __call__(self, block: tuple[int, NDArray[Any], Any]) -> tuple[int, int, Any]:
+        start, counts, beside = block
+        self.frames.check(counts)
+        return start, len(counts), self.work(self.frames, start, counts, beside)
 
 
 def with_dark_baseline(camera: Camera, dark: Any, shape_px: tuple[int, ...], unit: Unit = "adu") -> Camera:

@@ -16,6 +16,7 @@ from napari_mufasa.cli.options import (
     MethodName,
     OutFolder,
     Overwrite,
+    Scheduler,
     Seed,
 )
 from napari_mufasa.errors import MufasaError
@@ -46,6 +47,7 @@ def batch(
     follow_drift: FollowDrift = False,
     follow_molecules: FollowMolecules = False,
     method: Annotated[MethodName, typer.Option("--method", help="Of denoising.")] = "pure-let-movie",
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Do the same to many movies and tell them apart; what is finished is kept when it is run again."""
@@ -64,8 +66,8 @@ def batch(
         follow_molecules=follow_molecules, method=method,
     )  # fmt: skip
     results: list[Result] = []
-    with console.working("batch") as work:
-        for result in run(entries, out, settings, overwrite=overwrite, **work.both()):
+    with console.working("batch", scheduler) as work:
+        for result in run(entries, out, settings, overwrite=overwrite, **work.all()):
             results.append(result)
             typer.echo(f"[{len(results)}/{len(entries)}] {_line(result, steps)}")
     write_tables(out, results, f"{source.name}: {len(results)} movies")

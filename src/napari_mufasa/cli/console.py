@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from napari_mufasa import checks, provenance
+from napari_mufasa import checks, cluster, provenance
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
@@ -31,18 +31,24 @@ MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr")
 
 @dataclass(frozen=True)
 class Work:
-    """What long work takes: `progress(done, total)` and `cancel()`."""
+    """What long work takes: `progress(done, total)`, `cancel()`, and the client of a cluster, if there is one."""
 
     progress: Callable[[int, int], None]
     cancel: Callable[[], bool]
 
+    client: Any = None
+
     def both(self) -> dict[str, Any]:
         return {"progress": self.progress, "cancel": self.cancel}
 
+    def all(self) -> dict[str, Any]:
+        return {**self.both(), "client": self.client}
+
 
 @contextlib.contextmanager
-def working(title: str) -> Iterator[Work]:
-    """A progress bar on a terminal (nothing when piped), and Ctrl-C that stops at the next safe point.
+def working(title: str, scheduler: str | None = None) -> Iterator[Work]:
+    """A progress bar on a terminal (nothing when piped), Ctrl-C that stops at the next safe point, and the client of a
+    cluster where a scheduler is named.
 
     A second Ctrl-C stops at once. The bar goes to stderr, so that stdout stays clean for results.
     """
@@ -58,8 +64,8 @@ def working(title: str) -> Iterator[Work]:
     # A terminated job (SIGTERM) stops as with Ctrl-C and cleans up after itself.
     before = {each: signal.signal(each, ask_to_stop) for each in STOPPING} if main_thread else {}
     try:
-        with _bar(title) as progress:
-            yield Work(progress, stop.is_set)
+        with cluster.connected(scheduler) as client, _bar(title) as progress:
+            yield Work(progress, stop.is_set, client)
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)

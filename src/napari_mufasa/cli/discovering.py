@@ -19,6 +19,7 @@ from napari_mufasa.cli.options import (
     MovieFile,
     OutFolder,
     Overwrite,
+    Scheduler,
     Seed,
     TraceBackground,
     TraceProfile,
@@ -63,6 +64,7 @@ def diagnose(
         bool, typer.Option("--halves", help="Do the two halves of the field say the same? (two diagnoses more)")
     ] = False,
     channel: Channel = None,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
@@ -81,8 +83,8 @@ def diagnose(
         if channel is not None:
             raise MufasaError("--channel belongs to a movie: drop it for a table of traces")
         table = trace_table(movie, unit, profile, with_background)
-        with console.working("diagnosing") as work:
-            report = discover.diagnose_traces(**table, model=believed, seed=seed, budget=budget, **work.both())
+        with console.working("diagnosing", scheduler) as work:
+            report = discover.diagnose_traces(**table, model=believed, seed=seed, budget=budget, **work.all())
         subtitle = "{}: {} traces of {} frames".format(movie.name, *table["traces"].shape)
         _finish(out, report, table["traces"], subtitle, [movie, model])
         return
@@ -91,16 +93,16 @@ def diagnose(
             raise MufasaError(f"{name} belongs to a table of traces; add --traces if this is one")
     whole, dark_frames = believed, None if dark is None else files.load(dark)
     recorded, believed, background = _loaded(movie, whole, dark_frames, channel)
-    with console.working("diagnosing") as work:
-        report = discover.diagnose(recorded, believed, background, seed=seed, budget=budget, **work.both())
+    with console.working("diagnosing", scheduler) as work:
+        report = discover.diagnose(recorded, believed, background, seed=seed, budget=budget, **work.all())
     if check is not None:
         other = _loaded(check, whole, dark_frames, channel)[0]
-        with console.working(f"checking on {check.name}") as work:
-            held = discover.confirm(report, other, believed, background, seed=seed, budget=budget, **work.both())
+        with console.working(f"checking on {check.name}", scheduler) as work:
+            held = discover.confirm(report, other, believed, background, seed=seed, budget=budget, **work.all())
         report = replace(report, check=held.to_dict(check.name))
     if halves:
-        with console.working("checking on two halves") as work:
-            held = discover.confirm_halves(recorded, believed, background, seed=seed, budget=budget, **work.both())
+        with console.working("checking on two halves", scheduler) as work:
+            held = discover.confirm_halves(recorded, believed, background, seed=seed, budget=budget, **work.all())
         report = replace(report, check=held.to_dict("the two halves of the field, apart"))
     _finish_movie(out, report, recorded, background, [movie, model, dark, check])
 
@@ -114,6 +116,7 @@ def refine(
     out: OutFolder,
     dark: DarkFile = None,
     seed: Seed = 1,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Add the effects you name, fit them, and show how the error changes."""
@@ -125,8 +128,8 @@ def refine(
     effects = [_effect(believed, text) for text in add]
     background = None if dark is None else files.load(dark)
     recorded, believed, background = _loaded(movie, believed, background)
-    with console.working("refining") as work:
-        report = discover.refine(recorded, believed, effects, background, seed=seed, **work.both())
+    with console.working("refining", scheduler) as work:
+        report = discover.refine(recorded, believed, effects, background, seed=seed, **work.all())
     _finish_movie(out, report, recorded, background, [movie, model, dark])
 
 
@@ -145,6 +148,7 @@ def power(
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="PNG", help="Draw the power over the strength.")
     ] = None,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Predict how likely a diagnosis sees an effect, before the movie is taken."""
@@ -162,9 +166,9 @@ def power(
     believed = Model.from_json(model)
     hidden = console.effect_from_text(believed, effect)
     strengths = None if strength is None else _numbers(strength)
-    with console.working("simulating") as work:
+    with console.working("simulating", scheduler) as work:
         found = discover.power(
-            believed, hidden, strengths, movies=movies, dark_frames=dark_frames, seed=seed, **work.both()
+            believed, hidden, strengths, movies=movies, dark_frames=dark_frames, seed=seed, **work.all()
         )  # fmt: skip
     table = pd.DataFrame([one.row() for one in found])
     if out is not None:

@@ -11,7 +11,7 @@ import typer
 
 from napari_mufasa import provenance
 from napari_mufasa.cli import console
-from napari_mufasa.cli.options import EngineName, ModelFile, Overwrite, Resume, Seed, SnrBy
+from napari_mufasa.cli.options import EngineName, ModelFile, Overwrite, Resume, Scheduler, Seed, SnrBy
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ def simulate(
         Path | None, typer.Option("--truth", metavar="DIR", help="Also write emission.csv and positions.csv.")
     ] = None,
     seed: Seed = 0,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
 ) -> None:
@@ -77,10 +78,10 @@ def simulate(
     movie_shape = (chosen.acquisition.n_frames, *chosen.acquisition.shape_px)
     console.check_room(out, 2 * math.prod(movie_shape))
     acquisition = SimulatedAcquisition(chosen, places, seed, engine)
-    with console.working("simulating") as work:
+    with console.working("simulating", scheduler) as work:
 
         def blocks(first: int) -> Iterator[tuple[int, Any]]:
-            for span, block in acquisition.blocks(first=first, **work.both()):
+            for span, block in acquisition.blocks(first=first, **work.all()):
                 yield span.start, block.movie
 
         at = acquisition.scene.positions_px

@@ -32,6 +32,7 @@ from napari_mufasa.cli.options import (
     Overwrite,
     ProfileName,
     Resume,
+    Scheduler,
     Seed,
     ThresholdName,
     TimesName,
@@ -66,6 +67,7 @@ def denoise(
     ] = None,
     method: Annotated[MethodName, typer.Option("--method", help="Which estimator.")] = "pure-let-movie",
     channel: Channel = None,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
 ) -> None:
@@ -89,11 +91,11 @@ def denoise(
     if believed is not None:
         console.tell_disagreement(read, believed)
     console.check_room(out, 4 * math.prod(recorded.shape))
-    with console.working("denoising") as work:
+    with console.working("denoising", scheduler) as work:
         camera = believed.camera if believed is not None else measured_camera(recorded, background, work.cancel)
 
         def blocks(first: int) -> Iterator[tuple[int, Any]]:
-            yield from denoised(recorded, camera, method=method, first=first, **work.both())
+            yield from denoised(recorded, camera, method=method, first=first, **work.all())
 
         made_from = {"denoise": method, "camera": camera.model_dump(mode="json"), **files.signature(movie)}
         made_from |= {} if channel is None else {"channel": channel}
@@ -156,6 +158,7 @@ def traces(
     direct_excitation: DirectExcitation = 0.0,
     gamma: Gamma = 1.0,
     acceptor_sigma: AcceptorSigma = None,
+    scheduler: Scheduler = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
@@ -182,9 +185,9 @@ def traces(
     read, believed, background = registering.one_channel(channel, read, believed, background)
     recorded = read.data
     console.tell_disagreement(read, believed)
-    with console.working("traces") as work:
+    with console.working("traces", scheduler) as work:
         found = extract_traces(
-            recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, **options, **work.both()
+            recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, **options, **work.all()
         )
     with console.filling(out, believed, None, (movie, model, dark)) as folder:
         write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)

@@ -33,6 +33,9 @@ Resume = Annotated[
     bool, typer.Option("--resume", help="Keep finished blocks when interrupted, and go on from those of the same run.")
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed gives the same result.")]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Work on a Dask cluster, as tcp://host:8786.")
+]
 Budget = Annotated[
     int | None,
     typer.Option(min=1, metavar="N", help="Simulations that may be spent; 4000 without it, fewer for large movies."),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 import warnings
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from napari_mufasa import camera as cam
 from napari_mufasa import checks
 from napari_mufasa.camera import readout
+from napari_mufasa.cluster import in_order
 from napari_mufasa.errors import Cancelled, MufasaError
 
 from .reel import Reel, block_frames
@@ -22,6 +24,7 @@ from .reel import Reel, block_frames
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from distributed import Client
     from numpy.typing import NDArray
 
     from napari_mufasa.model.setup import Camera
@@ -47,6 +50,7 @@ def denoise(
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
     out: Any = None,
+    client: Client | None = None,
 ) -> NDArray[np.float32]:
     """Estimate the light that reached the detector: photons per pixel and frame.
 
@@ -75,6 +79,9 @@ def denoise(
         Asked before every block; True stops with `Cancelled`.
     out : array-like (frame, y, x), optional
         Written to instead of a new array, for example a zarr array for a movie larger than memory.
+    client : distributed.Client, optional
+        Of a cluster whose workers denoise the blocks; the movie is read, and the weights are learnt, here
+        (docs/clusters.md).
 
     Returns
     -------
@@ -96,7 +103,7 @@ def denoise(
     if (room := tuple(getattr(result, "shape", ()))) != shape:
         raise MufasaError(f"out has shape {room}, the movie {shape}; give the same shape")
     shared: dict[str, Any] = {"dark": dark, "method": method, "excess_noise": excess_noise}
-    for start, block in denoised(movie, camera, **shared, progress=progress, cancel=cancel):
+    for start, block in denoised(movie, camera, **shared, progress=progress, cancel=cancel, client=client):
         result[start : start + len(block)] = block
     return result
 
@@ -111,6 +118,7 @@ def denoised(
     first: int = 0,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """`denoise`, piece by piece: (first frame of the piece, photons (frame, y, x)) in order, for movies larger than
     memory. Begins with the block of `block_frames` that frame ``first`` lies in."""
@@ -124,19 +132,36 @@ def denoised(
         warnings.warn("the camera given is used: dark frames are for measuring one where none is given", stacklevel=3)
     checks.need(camera, Camera, "camera", "give model.camera")
     shape = tuple(movie.shape)
-    worker = _Frames(movie, camera, shape, method, excess_noise)
-    worker.learn(cancel)
+    frames = _Frames(movie, camera, shape, method, excess_noise)
+    frames.learn(cancel)
     size = block_frames(shape)
-    reel = Reel(worker.read, shape, worker.neighbours)
+    spans = [(start, min(start + size, shape[0])) for start in range(first // size * size, shape[0], size)]
     _stop_if(cancel)
-    for start in range(first // size * size, shape[0], size):
-        for begin, piece in worker.pieces(reel, start, min(start + size, shape[0])):
-            yield begin, piece
-            done = begin + len(piece)
-            if progress is not None:
-                progress(done, shape[0])
-            if done < shape[0]:
-                _stop_if(cancel)
+    pieces: Iterator[tuple[int, NDArray[np.float32]]]
+    if client is None:
+        reel = Reel(frames.read, shape, frames.neighbours)
+        pieces = (piece for span in spans for piece in frames.pieces(reel, *span))
+    else:
+        counts = (frames.block(*span) for span in spans)
+        blocks = in_order(frames.without_movie().photons, counts, client=client, cancel=cancel)
+        pieces = zip((start for start, _ in spans), blocks, strict=True)
+    for begin, piece in pieces:
+        yield begin, piece
+        done = begin + len(piece)
+        if progress is not None:
+            progress(done, shape[0])
+        if done < shape[0]:
+            _stop_if(cancel)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Recorded frames `begins` … of which start … stop − 1 are to be denoised; the others are their neighbours."""
+
+    counts: Array
+    begins: int
+    start: int
+    stop: int
 
 
 def measured_camera(movie: Any, dark: Any = None, cancel: Callable[[], bool] | None = None) -> Camera:
@@ -159,6 +184,7 @@ class _Frames:
 
     def __init__(self, movie: Any, camera: Camera, shape: tuple[int, ...], method: Method, excess_noise: bool) -> None:
         self.movie, self.camera, self.shape = movie, camera, shape
+        self.workers = WORKERS
         # A single frame has no past or future: what is best for single frames is best for it.
         self.method = "pure-let-patches" if method == "pure-let-movie" and shape[0] == 1 else method
         self.alpha = cam.multiplication_noise(camera) if excess_noise else 1.0
@@ -173,10 +199,15 @@ class _Frames:
 
     def read(self, start: int, stop: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
         """Recorded frames, or a tile of them, as photoelectrons."""
-        counts, camera = np.asarray(self.movie[(slice(start, stop), *tile)]), part_of(self.camera, tile)
+        return self.electrons(np.asarray(self.movie[(slice(start, stop), *tile)]), start, tile)
+
+    def electrons(self, counts: Array, start: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
+        """Counts of recorded frames from `start` on, or of a tile of them, as photoelectrons."""
+        camera = part_of(self.camera, tile)
         if counts.dtype.kind == "f" and not np.all(np.isfinite(counts)):
             raise MufasaError(
-                f"movie frames {start} to {stop - 1} hold values that are not finite: crop or fill them first"
+                f"movie frames {start} to {start + len(counts) - 1} hold values that are not finite: "
+                "crop or fill them first"
             )
         cam.check_counts(counts, camera)
         return cam.photoelectrons(counts, camera, start)
@@ -237,25 +268,34 @@ class _Frames:
         """The block of frames start … stop - 1: (first frame of a piece, photons (frame, y, x)) in order."""
         if self.method in ("none", "source"):
             for begin in range(start, stop, reel.piece):
-                yield begin, self.recorded(begin, min(begin + reel.piece, stop))
+                yield begin, self.recorded(np.asarray(self.movie[begin : min(begin + reel.piece, stop)]), begin)
         else:
             yield from self.worked(reel, start, stop, reel.piece)
 
-    def one(self, t: int) -> NDArray[np.float32]:
-        """Photons of a single frame, as if it were a block."""
-        if self.method in ("none", "source"):
-            piece = self.recorded(t, t + 1)
-        else:
-            first, last = self.reach(t, t + 1)
-            ((_, piece),) = self.worked(self.read(first, last), t - first, t - first + 1, 1)
-        frame: NDArray[np.float32] = piece[0]
-        return frame
+    def block(self, start: int, stop: int) -> _Block:
+        """Frames start … stop - 1 as they are recorded, with the neighbours that they look at."""
+        first, last = self.reach(start, stop)
+        return _Block(np.asarray(self.movie[first:last]), first, start, stop)
 
-    def recorded(self, start: int, stop: int) -> NDArray[np.float32]:
-        """Photons of frames start … stop - 1 by the methods that know no neighbours and learn nothing."""
+    def without_movie(self) -> _Frames:
+        """What another process needs to denoise blocks, one thread each: its cores may have other blocks."""
+        frames = copy.copy(self)
+        frames.movie, frames.workers = None, 1
+        return frames
+
+    def photons(self, block: _Block) -> NDArray[np.float32]:
+        """Denoised photons (frame, y, x) of a block's frames."""
+        if self.method in ("none", "source"):
+            return self.recorded(block.counts, block.start)
+        start, stop = block.start - block.begins, block.stop - block.begins
+        ((_, photons),) = self.worked(self.electrons(block.counts, block.begins), start, stop, stop - start)
+        return photons
+
+    def recorded(self, counts: Array, start: int) -> NDArray[np.float32]:
+        """Photons of frames from `start` on by the methods that know no neighbours and learn nothing."""
         if self.method == "none":
-            return cam.photons(self.read(start, stop), self.camera)
-        return cam.photons(source_recipe(np.asarray(self.movie[start:stop]), self.camera, start), self.camera)
+            return cam.photons(self.electrons(counts, start), self.camera)
+        return cam.photons(source_recipe(counts, self.camera, start), self.camera)
 
     def worked(self, data: Array | Reel, start: int, stop: int, size: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
         """Photons of frames start … stop - 1 of ``data`` by the methods that learn, in pieces of ``size`` frames."""
@@ -271,7 +311,7 @@ class _Frames:
 
         typical = self.noise(data[(start + stop) // 2])
         # The kernels release the interpreter: threads share the block's frames.
-        with ThreadPoolExecutor(max_workers=min(WORKERS, stop - start)) as pool:
+        with ThreadPoolExecutor(max_workers=min(self.workers, stop - start)) as pool:
             work: deque[Any] = deque()
             pieces: deque[tuple[int, Array]] = deque()
             for t, sight in sights(data, start, stop, typical, self.neighbours, size):
@@ -280,7 +320,7 @@ class _Frames:
                 begin, piece = pieces[-1]
                 work.append(pool.submit(one, sight, piece[t - begin]))
                 # What the past and future show of a frame is let go as soon as the frame is done.
-                if len(work) > WORKERS + 1:
+                if len(work) > self.workers + 1:
                     work.popleft().result()
                 while pieces and t + 1 - len(work) >= pieces[0][0] + len(pieces[0][1]):
                     yield pieces.popleft()

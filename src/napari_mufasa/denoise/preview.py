@@ -65,4 +65,4 @@ class Preview:
     def look(self, t: int) -> Look:
         """Frame ``t`` before and after."""
         before = cam.photons(self._frames.read(t, t + 1), self.camera)[0]
-        return Look(before, self._frames.one(t))
+        return Look(before, self._frames.photons(self._frames.block(t, t + 1))[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from napari_mufasa import checks
 from napari_mufasa.discover.investigation import Investigation, TraceInvestigation
@@ -11,6 +11,9 @@ from napari_mufasa.discover.result import Report
 from napari_mufasa.effects import Effect
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 def diagnose(
@@ -24,6 +27,7 @@ def diagnose(
     budget: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
 ) -> Report:
     """Find what a model lacks to explain a movie (docs/discovery.md).
 
@@ -41,6 +45,7 @@ def diagnose(
     max_effects : so many are added at most; None: as many as earn their place
     budget : simulations that may be spent; None: 4000, fewer of a large movie
     progress : called with (done, in all); cancel : True stops (raises `Cancelled`)
+    client : of a cluster that simulates (docs/clusters.md)
 
     Raises
     ------
@@ -48,8 +53,8 @@ def diagnose(
     """
     _check(max_effects, budget)
     inquiry = Investigation(
-        movie, model, dark, seed=seed, effects=effects, budget=budget, progress=progress, cancel=cancel
-    )
+        movie, model, dark, seed=seed, effects=effects, budget=budget, progress=progress, cancel=cancel, client=client,
+    )  # fmt: skip
     return play(inquiry, max_effects)
 
 
@@ -67,6 +72,7 @@ def diagnose_traces(
     seed: int = 1,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
 ) -> Report:
     """Find what a model lacks to explain a table of traces (molecule, frame), when there is no movie
     (docs/discovery.md).
@@ -78,7 +84,7 @@ def diagnose_traces(
     ----------
     traces … pixel_share : as for `compare_traces`
     effects : kinds to consider; None: those of photophysics and light that a lone trace can show
-    max_effects, budget, seed, progress, cancel : as for `diagnose`
+    max_effects, budget, seed, progress, cancel, client : as for `diagnose`
 
     Raises
     ------
@@ -88,6 +94,7 @@ def diagnose_traces(
     inquiry = TraceInvestigation(
         traces, model, unit=unit, profile=profile, background_subtracted=background_subtracted,
         pixel_share=pixel_share, seed=seed, effects=effects, budget=budget, progress=progress, cancel=cancel,
+        client=client,
     )  # fmt: skip
     return play(inquiry, max_effects)
 
@@ -158,6 +165,7 @@ def refine(
     seed: int = 1,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
 ) -> Report:
     """The same by hand: fit the effects the user names, together, and report the error (docs/discovery.md).
 
@@ -166,6 +174,7 @@ def refine(
     add : kinds, fitted from scratch, or effects, whose values the fit starts from
     movie, model, dark, seed : as for `diagnose`
     progress : called with (done, in all); cancel : True stops (raises `Cancelled`)
+    client : of a cluster that simulates (docs/clusters.md)
 
     Raises
     ------
@@ -178,6 +187,8 @@ def refine(
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     for kind in {effect.kind for effect in model.effects} & set(kinds):
         raise MufasaError(f"{kind} is in the model already: take it out there first, or add another effect")
-    inquiry = Investigation(movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel)
+    inquiry = Investigation(
+        movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel, client=client
+    )
     inquiry.add(*add)
     return inquiry.report()

@@ -10,19 +10,22 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Generic, Protocol, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.cluster import in_order
 from napari_mufasa.discover.metric import spread_floor
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.result import Curve
-from napari_mufasa.errors import Cancelled
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe.table import Meaning
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 Array = NDArray[np.float64]
 WORKERS = max(1, min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1))
@@ -40,10 +43,13 @@ class Observed(Protocol):
 
 
 Seen = TypeVar("Seen", bound=Observed)
+Done = TypeVar("Done")
+Job = tuple[Model, int]  # a model and the seed of its simulation
 
 
 class Bench(ABC, Generic[Seen]):
-    """Simulates and observes models in the measurement's form; counts, reports progress, can be cancelled.
+    """Has models simulated and observed in the measurement's form, on all cores or on a cluster; counts, reports
+    progress, can be cancelled.
 
     start : the model believed, in the measurement's form · measured : what the measurement shows
     x (part, observable) : its numbers, 0 where it shows none · notes : choices made, for the reader
@@ -63,19 +69,22 @@ class Bench(ABC, Generic[Seen]):
         notes: Sequence[str] = (),
         progress: Callable[[int, int], None] | None = None,
         cancel: Callable[[], bool] | None = None,
+        client: Client | None = None,
     ) -> None:
         self.start, self.measured, self.seed, self.notes = start, measured, seed, tuple(notes)
         self.x: Array = np.where(np.isfinite(measured.values), measured.values, 0.0)
         self.gaps: set[str] = set()
         self.done = 0
         self.planned = 1
-        self._progress, self._cancel = progress, cancel
+        self._progress, self._cancel, self._client = progress, cancel, client
 
     # What depends on the kind of measurement ----------------------------------------------------------------
 
+    @property
     @abstractmethod
-    def simulated(self, model: Model, seed: int) -> Seen:
-        """What a simulation of the model shows, through the same eyes as the measurement."""
+    def simulated(self) -> Callable[[Job], Seen]:
+        """What a simulation of a model shows, through the same eyes as the measurement. It holds no more than it needs,
+        because workers elsewhere get it, too."""
 
     @abstractmethod
     def free_values(self, model: Model) -> list[Nuisance]:
@@ -117,27 +126,31 @@ class Bench(ABC, Generic[Seen]):
         self.planned = self.done + more
 
     def rows(self, jobs: Sequence[tuple[Model, int]]) -> Array:
-        """(job, part, observable) for (model, seed number) jobs, in order, on all cores; NaN where a simulation does
-        not show an observable."""
-        return np.array([o.values for o in self.observations(jobs)]).reshape(len(jobs), *self.measured.values.shape)
+        """(job, part, observable) for (model, seed number) jobs, in order; NaN where a simulation does not show an
+        observable."""
+        values = list(self._each(Values(self.simulated), jobs))
+        return np.array(values).reshape(len(jobs), *self.measured.values.shape)
 
     def observations(self, jobs: Sequence[tuple[Model, int]]) -> list[Seen]:
-        with ThreadPoolExecutor(WORKERS) as pool:
-            pending = [pool.submit(self.simulated, model, self.seed * 100_003 + number) for model, number in jobs]
-            found = []
-            try:
-                for future in pending:
-                    if self._cancel is not None and self._cancel():
-                        raise Cancelled
-                    found.append(future.result())
-                    self.done += 1
-                    if self._progress is not None:
-                        self._progress(min(self.done, self.planned), max(self.planned, self.done))
-            except BaseException:
-                for future in pending:
-                    future.cancel()
-                raise
-        return found
+        return list(self._each(self.simulated, jobs))
+
+    def _each(self, work: Callable[[Job], Done], jobs: Sequence[tuple[Model, int]]) -> Iterator[Done]:
+        seeded = [(model, self.seed * 100_003 + number) for model, number in jobs]
+        for found in in_order(work, seeded, client=self._client, workers=WORKERS, cancel=self._cancel):
+            self.done += 1
+            if self._progress is not None:
+                self._progress(min(self.done, self.planned), max(self.planned, self.done))
+            yield found
+
+
+@dataclass(frozen=True)
+class Values:
+    """The numbers alone of what simulations show: much less to send."""
+
+    simulated: Callable[[Job], Observed]
+
+    def __call__(self, job: Job) -> Array:
+        return self.simulated(job).values
 
 
 def as_table(names: Sequence[str], values: Array) -> dict[str, float]:

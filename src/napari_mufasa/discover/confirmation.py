@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.result import Report
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 AGREE = 1.96  # standard deviations of their difference within which two values agree: 95 % of differences by chance
 LEAST_PX = 24  # of a half
@@ -100,6 +103,7 @@ def confirm(
     budget: int | None = None,
     progress: Progress | None = None,
     cancel: Cancel | None = None,
+    client: Client | None = None,
 ) -> Confirmation:
     """Check a diagnosis on another movie of the same set-up (docs/discovery.md).
 
@@ -108,17 +112,18 @@ def confirm(
     here : what `diagnose` found from `model` in the first movie
     movie, model, dark, seed, effects, budget : of the other movie, as for `diagnose`; the model believed is the same
     progress : called with (done, in all); cancel : True stops (raises `Cancelled`)
+    client : of a cluster that simulates (docs/clusters.md)
 
     Raises
     ------
     MufasaError : a movie, dark frames or model that cannot be used.
     """
     checks.need(here, Report, "report", "give what diagnose(…) returned")
-    steering: dict[str, Any] = {"progress": progress, "cancel": cancel}
+    steering: dict[str, Any] = {"progress": progress, "cancel": cancel, "client": client}
     movie = checks.stack(movie)
     there = diagnose(movie, model, dark, seed=seed, effects=effects, budget=budget, **steering)
     completed = here.model.in_shape(n_frames=movie.shape[0], shape_px=tuple(movie.shape[1:]), maps=model.camera)
-    carried, floor = _carried(completed, movie, dark, here.chosen, seed, progress, cancel)
+    carried, floor = _carried(completed, movie, dark, here.chosen, seed, **steering)
     error = {"before": there.error["before"], "carried": carried, "after": there.error["after"], "floor": floor}
     return Confirmation(here, there, error)
 
@@ -133,6 +138,7 @@ def confirm_halves(
     budget: int | None = None,
     progress: Progress | None = None,
     cancel: Cancel | None = None,
+    client: Client | None = None,
 ) -> Confirmation:
     """Diagnose the left and the right half of a movie apart, and check the first on the second (docs/discovery.md).
 
@@ -143,7 +149,7 @@ def confirm_halves(
     ------
     MufasaError : halves of less than 24 pixels; and as `diagnose`.
     """
-    steering: dict[str, Any] = {"progress": progress, "cancel": cancel}
+    steering: dict[str, Any] = {"progress": progress, "cancel": cancel, "client": client}
     movie = checks.stack(movie)
     n_frames, height, width = (int(n) for n in movie.shape)
     whole = model.in_shape(n_frames=n_frames, shape_px=(height, width))
@@ -161,11 +167,11 @@ def confirm_halves(
 
 def _carried(
     completed: Model, movie: Any, dark: Any, kinds: list[str], seed: int, progress: Progress | None,
-    cancel: Cancel | None,
+    cancel: Cancel | None, client: Client | None,
 ) -> tuple[float, float]:  # fmt: skip
     """The held-out error of a completed model in a movie, and its floor: effects as they are, but for what the movie
     shows of them directly; brightness, background, molecules and the like fitted."""
-    bench = MovieBench(prepare(movie, completed, dark), seed, progress, cancel)
+    bench = MovieBench(prepare(movie, completed, dark), seed, progress, cancel, client)
     effects = tuple(
         changed(effect, bench.read_off(effect.kind)) if effect.kind in kinds else effect
         for effect in bench.start.effects

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
@@ -20,6 +21,9 @@ from napari_mufasa.effects import Effect
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.simulate.movie import simulate, simulate_dark
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 FIRST_SEED = 30_000  # of the movies with the effect
 CONFIDENCE = 0.95
@@ -79,6 +83,7 @@ def power(
     seed: int = 1,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
 ) -> list[Power]:
     """The power to see an effect in a movie of this model, before it is taken; one answer for each strength.
 
@@ -89,7 +94,7 @@ def power(
     strengths : of the effect; None: the one it has
     movies : simulated with each · dark_frames : recorded beside the movie; 0: none
     effects : kinds that a diagnosis considers; None: the common ones of the catalogue, and this one
-    seed : the same seed gives the same answer · progress, cancel : see `simulate`
+    seed : the same seed gives the same answer · progress, cancel, client : see `simulate`
 
     Raises
     ------
@@ -109,7 +114,7 @@ def power(
     dark = simulate_dark(model, dark_frames, seed) if dark_frames else None
     inquiry = Investigation(
         simulate(model, seed=seed, cancel=cancel).movie, model, dark, seed=seed, effects=effects,
-        progress=progress, cancel=cancel,
+        progress=progress, cancel=cancel, client=client,
     )  # fmt: skip
     if effect.kind in inquiry.further:
         inquiry.kinds.append(effect.kind)

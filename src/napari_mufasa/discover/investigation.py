@@ -7,7 +7,7 @@ a `Bench`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
@@ -26,6 +26,9 @@ from napari_mufasa.effects import Effect, catalogue, effect_class
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 FINALISTS = 5  # leads that are started when a user asks what is missing
 
 
@@ -40,7 +43,7 @@ class Investigation(Steps):
     seed : the same seed gives the same answer
     effects : kinds to consider; None: the whole catalogue that suits the camera
     budget : simulations that may be spent; None: 4000, fewer of a large movie (`rules.BUDGET_VALUES`)
-    progress, cancel : see `simulate`
+    progress, cancel, client : see `simulate`
 
     Memory: the (cropped) movie and one simulated movie per core. Raises `MufasaError` on unusable input.
     """
@@ -56,11 +59,12 @@ class Investigation(Steps):
         budget: int | None = None,
         progress: Callable[[int, int], None] | None = None,
         cancel: Callable[[], bool] | None = None,
+        client: Client | None = None,
     ) -> None:
         _check(model, seed)
         self.measurement = prepare(movie, model, dark)
         considered = _considered(effects, list(catalogue()), model)
-        super().__init__(MovieBench(self.measurement, seed, progress, cancel), model, budget, *considered)
+        super().__init__(MovieBench(self.measurement, seed, progress, cancel, client), model, budget, *considered)
 
     # Steps --------------------------------------------------------------------------------------------------
 
@@ -152,12 +156,13 @@ class TraceInvestigation(Investigation):
         budget: int | None = None,
         progress: Callable[[int, int], None] | None = None,
         cancel: Callable[[], bool] | None = None,
+        client: Client | None = None,
     ) -> None:
         _check(model, seed)
         considered = _considered(effects, candidate_kinds(), model)
         bench = TraceBench(
             traces, model, unit, profile, background_subtracted, pixel_share, seed=seed, progress=progress,
-            cancel=cancel,
+            cancel=cancel, client=client,
         )  # fmt: skip
         Steps.__init__(self, bench, model, budget, *considered)
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import blake2b
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from napari_mufasa.calibrate.codes import code_widths
 from napari_mufasa.discover import curves, nuisance
-from napari_mufasa.discover.bench import Bench, as_table
+from napari_mufasa.discover.bench import Bench, Job, as_table
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.read_off import background_beyond, read_off
@@ -21,11 +22,37 @@ from napari_mufasa.model.model import Model
 from napari_mufasa.observe import DarkView, Observation, observe, view_dark
 from napari_mufasa.simulate.movie import SimulatedAcquisition, simulate_dark
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 CAMERA_STAGE = "camera"
 MATCHING_SEED = 10_000
 MATCHING_ROUNDS = 4
 BEYOND_SEED, BEYOND = 20_000, 3  # simulations that tell what a model shows already
 FEWEST_MOLECULES = 3
+
+
+@dataclass(frozen=True)
+class SimulatedMovies:
+    """What simulated movies show to these `eyes` (units and PSF width believed), beside so many `dark_frames`."""
+
+    eyes: Model
+    dark_frames: int
+    _dark: dict[Hashable, DarkView] = field(default_factory=dict)
+
+    def __call__(self, job: Job) -> Observation:
+        model, seed = job
+        movie = SimulatedAcquisition(model, seed=seed).movie()
+        return observe(movie, self.eyes, self.dark_view(model, seed) if self.dark_frames else None)
+
+    def dark_view(self, model: Model, seed: int) -> DarkView:
+        """Dark frames depend on the camera and its effects only: made once for each."""
+        camera_effects = tuple(e for e in model.effects if e.stage == CAMERA_STAGE)
+        model = model.model_copy(update={"effects": camera_effects})
+        key = (_everything_in(model.camera), tuple(e.model_dump_json() for e in camera_effects), seed)
+        if key not in self._dark:
+            self._dark[key] = view_dark(simulate_dark(model, self.dark_frames, seed), self.eyes)
+        return self._dark[key]
 
 
 class MovieBench(Bench[Observation]):
@@ -39,12 +66,13 @@ class MovieBench(Bench[Observation]):
         seed: int,
         progress: Callable[[int, int], None] | None = None,
         cancel: Callable[[], bool] | None = None,
+        client: Client | None = None,
     ) -> None:
         self.measurement = measurement
-        self._dark: dict[Hashable, DarkView] = {}
         self._beyond: dict[str, dict[str, Any]] = {}
-        self._eyes = measurement.model  # the same eyes for all: units and PSF width believed
-        measured = observe(measurement.movie, self._eyes, measurement.dark)
+        dark_frames = 0 if measurement.dark is None else len(measurement.dark)
+        self._simulated = SimulatedMovies(measurement.model, dark_frames)
+        measured = observe(measurement.movie, measurement.model, measurement.dark)
         if measured.spots.inside.sum() < FEWEST_MOLECULES:
             raise MufasaError(
                 "fewer than three molecules were found in the movie: check psf_fwhm_nm, pixel_size_nm and baseline_adu "
@@ -53,22 +81,11 @@ class MovieBench(Bench[Observation]):
         notes = list(measurement.notes)
         if measurement.dark is None:
             notes.append("No dark frames were given: offset, read noise and clock-induced charge rest on the model.")
-        super().__init__(measurement.model, measured, seed, notes, progress, cancel)
+        super().__init__(measurement.model, measured, seed, notes, progress, cancel, client)
 
-    def simulated(self, model: Model, seed: int) -> Observation:
-        movie = SimulatedAcquisition(model, seed=seed).movie()
-        dark = None if self.measurement.dark is None else self._dark_view(model, seed)
-        return observe(movie, self._eyes, dark)
-
-    def _dark_view(self, model: Model, seed: int) -> DarkView:
-        """Dark frames depend on the camera and its effects only: made once for each."""
-        assert self.measurement.dark is not None
-        camera_effects = tuple(e for e in model.effects if e.stage == CAMERA_STAGE)
-        model = model.model_copy(update={"effects": camera_effects})
-        key = (_everything_in(model.camera), tuple(e.model_dump_json() for e in camera_effects), seed)
-        if key not in self._dark:
-            self._dark[key] = view_dark(simulate_dark(model, len(self.measurement.dark), seed), self._eyes)
-        return self._dark[key]
+    @property
+    def simulated(self) -> SimulatedMovies:
+        return self._simulated
 
     def free_values(self, model: Model) -> list[Nuisance]:
         return nuisance.nuisances(model)

@@ -8,8 +8,8 @@ has. What needs a place is neither fitted nor asked for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from napari_mufasa.compare.fit import background_level_e, fit_gain
 from napari_mufasa.compare.simulated import FarApart
 from napari_mufasa.compare.wasserstein import floor, wasserstein
 from napari_mufasa.discover import curves
-from napari_mufasa.discover.bench import Bench
+from napari_mufasa.discover.bench import Bench, Job
 from napari_mufasa.discover.nuisance import Nuisance, nuisances
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.effects import catalogue
@@ -29,6 +29,9 @@ from napari_mufasa.observe import photoelectrons_per_adu
 from napari_mufasa.observe.lone_traces import RUN, Eyes, TraceNumbers, observe_traces, views
 from napari_mufasa.traces import Options
 from napari_mufasa.traces.dynamics import dynamics
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 Array = NDArray[np.float64]
 LEAST_MOLECULES, LEAST_FRAMES = 4 * RUN, 8
@@ -56,6 +59,26 @@ def candidate_kinds() -> list[str]:
     ]
 
 
+@dataclass(frozen=True)
+class SimulatedTables:
+    """What simulated tables show to these `eyes`: molecules in `fields`, counts turned into photoelectrons as the
+    measured ones were, by the camera believed (`photoelectrons_per_adu`)."""
+
+    fields: tuple[FarApart, ...]
+    eyes: Eyes
+    photoelectrons_per_adu: float
+
+    def __call__(self, job: Job) -> TraceNumbers:
+        return observe_traces(self.traces(*job), self.eyes)
+
+    def traces(self, model: Model, seed: int) -> Array:
+        """(molecule, frame) photoelectrons."""
+        field = self.fields[seed % FIELDS]
+        made = field.traces(field.acquisition(model, seed)).astype(np.float64)
+        traces: Array = made * (self.photoelectrons_per_adu / photoelectrons_per_adu(model))
+        return traces
+
+
 class TraceBench(Bench[TraceNumbers]):
     """Simulates and observes tables of traces (molecule, frame); parameters as in `diagnose_traces`."""
 
@@ -74,6 +97,7 @@ class TraceBench(Bench[TraceNumbers]):
         seed: int = 1,
         progress: Callable[[int, int], None] | None = None,
         cancel: Callable[[], bool] | None = None,
+        client: Client | None = None,
     ) -> None:
         electrons = to_photoelectrons(traces, model, unit)
         if len(electrons) < LEAST_MOLECULES or electrons.shape[1] < LEAST_FRAMES:
@@ -93,23 +117,16 @@ class TraceBench(Bench[TraceNumbers]):
             psf_sigma_px=model.sigma_px, profile=cast(Any, profile), subtract_background=background_subtracted
         )
         sigma = model.sigma_px
-        self._fields = [FarApart(sigma, n, options, seed * FIELDS + k, pixel_share, quick=True) for k in range(FIELDS)]
-        self._eyes = Eyes.of(electrons, background_subtracted)
-        self._scale = photoelectrons_per_adu(start)
+        fields = [FarApart(sigma, n, options, seed * FIELDS + k, pixel_share, quick=True) for k in range(FIELDS)]
+        eyes = Eyes.of(electrons, background_subtracted)
+        self._simulated = SimulatedTables(tuple(fields), eyes, photoelectrons_per_adu(start))
         self._electrons, self._matching_seed, self._level = electrons, MATCHING_SEED + 97 * seed, _level(electrons)
         self._quantiles, self._floors = _quantiles(electrons), _floors(electrons, np.random.default_rng(seed))
-        super().__init__(start, observe_traces(electrons, self._eyes), seed, notes, progress, cancel)
+        super().__init__(start, observe_traces(electrons, eyes), seed, notes, progress, cancel, client)
 
-    def simulated(self, model: Model, seed: int) -> TraceNumbers:
-        return observe_traces(self._traces(model, seed), self._eyes)
-
-    def _traces(self, model: Model, seed: int) -> Array:
-        """(molecule, frame) photoelectrons, counts turned into them as the measured ones were: by the camera
-        believed."""
-        field = self._fields[seed % FIELDS]
-        made = field.traces(field.acquisition(model, seed), self._cancel).astype(np.float64)
-        traces: Array = made * (self._scale / photoelectrons_per_adu(model))
-        return traces
+    @property
+    def simulated(self) -> SimulatedTables:
+        return self._simulated
 
     def free_values(self, model: Model) -> list[Nuisance]:
         return [_in_proportion(value) for value in nuisances(model) if value.path not in NOT_SHOWN]
@@ -119,20 +136,20 @@ class TraceBench(Bench[TraceNumbers]):
         molecule's by what comes nearest to the table at all time scales (W1)."""
         if self.background_subtracted:
             for turn in range(LEVEL_ROUNDS):
-                ratio = self._level / _level(self._traces(model, self._matching_seed + turn))
+                ratio = self._level / _level(self._simulated.traces(model, self._matching_seed + turn))
                 model = _with_light(model, model.optics.brightness_correction * float(np.clip(ratio, 0.2, 5.0)), None)
             return model
         wanted = float(self._electrons.mean())
         per_photon = model.camera.quantum_efficiency * self._background_weight
         background_e = background_level_e(model) * self._background_weight
-        light_e = float(self._traces(model, self._matching_seed).mean()) - background_e
+        light_e = float(self._simulated.traces(model, self._matching_seed).mean()) - background_e
         brightness = model.optics.brightness_correction / max(light_e, 1e-3 * wanted)
 
         def of(share: float) -> Model:
             return _with_light(model, brightness * share * wanted, (1 - share) * wanted / per_photon)
 
         def distance(share: float) -> float:
-            return self._distance(self._traces(of(share), self._matching_seed + 1))
+            return self._distance(self._simulated.traces(of(share), self._matching_seed + 1))
 
         found = {share: distance(share) for share in SHARES}
         for factors in CLOSER:
@@ -143,7 +160,7 @@ class TraceBench(Bench[TraceNumbers]):
     @property
     def _background_weight(self) -> float:
         """Pixels' worth of background in a trace that keeps it."""
-        weighing = self._fields[0].weighing
+        weighing = self._simulated.fields[0].weighing
         return 1.0 if weighing is None else float(weighing.weight.mean())
 
     def _distance(self, traces: Array) -> float:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, get_args
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
-from napari_mufasa.errors import Cancelled
+from napari_mufasa.cluster import in_order
 from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics.engines import Engine, Exposure, simulate_photons
 from napari_mufasa.simulate import layout
-from napari_mufasa.simulate.scene import Population, Recording, Scene, build_scene
+from napari_mufasa.simulate.scene import Block, Population, Recording, Scene, build_scene
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 Progress = Callable[[int, int], None]
 BLOCK_BYTES = 2 * 2**20  # optical images of one block of frames: they stay close to the processor
@@ -71,6 +74,7 @@ class SimulatedAcquisition:
         positions = layout.check_positions(positions_px)
         self.model = model
         self.seed = seed
+        self._positions_px = positions
         self.scene: Scene = build_scene(model, positions, streams)
         self.emission, expected = _emit(self.scene, engine, workers)
         self.photons = _imaged(self.emission, expected, model.optics.emission_noise)
@@ -102,25 +106,37 @@ class SimulatedAcquisition:
         first: int = 0,
         progress: Progress | None = None,
         cancel: Callable[[], bool] | None = None,
+        client: Client | None = None,
     ) -> Iterator[tuple[slice, Recording]]:
-        """Record the movie from frame `first` on, block by block, in order; `workers` threads run ahead."""
+        """Record the movie from frame `first` on, block by block, in order; `workers` threads run ahead, or the workers
+        of a cluster (`client`)."""
         checks.whole(workers, "workers", 1, 1024)
         size = self.block_frames()
-        slices = [slice(f, min(f + size, self.n_frames)) for f in range(first, self.n_frames, size)]
-        with ThreadPoolExecutor(workers) as pool:
-            pending: list[tuple[slice, Future[Recording]]] = []
-            upcoming = iter(slices)
-            for _ in slices:
-                while len(pending) < workers + 1 and (span := next(upcoming, None)) is not None:
-                    pending.append((span, pool.submit(self.scene.record, self.photons, span.start, span.stop)))
-                span, future = pending.pop(0)
-                yield span, future.result()
-                if progress is not None:
-                    progress(span.stop, self.n_frames)
-                if cancel is not None and cancel():
-                    for _, waiting in pending:
-                        waiting.cancel()
-                    raise Cancelled
+        spans = [slice(f, min(f + size, self.n_frames)) for f in range(first, self.n_frames, size)]
+        record = self.scene.record_block if client is None else Elsewhere(self.model, self._positions_px, self.seed)
+        ahead = workers + 1 if client is None else None
+        jobs = (self.scene.block(self.photons, span) for span in spans)
+        blocks = in_order(record, jobs, client=client, workers=workers, ahead=ahead, cancel=cancel)
+        for span, block in zip(spans, blocks, strict=True):
+            yield span, block
+            if progress is not None:
+                progress(span.stop, self.n_frames)
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """Records blocks in another process: the scene is built there from what it is built from here."""
+
+    model: Model
+    positions_px: NDArray[np.float64]
+    seed: int
+
+    @cached_property
+    def scene(self) -> Scene:
+        return build_scene(self.model, self.positions_px, Streams(self.seed))
+
+    def __call__(self, block: Block) -> Recording:
+        return self.scene.record_block(block)
 
 
 def simulate(
@@ -132,6 +148,7 @@ def simulate(
     workers: int = 1,
     progress: Progress | None = None,
     cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
 ) -> Simulation:
     """Simulate a movie from molecules to digital counts.
 
@@ -142,6 +159,7 @@ def simulate(
     seed : the same seed gives the same movie, whatever `workers`
     engine : "fast" or "exact" (docs/photophysics.md)
     progress : called with (frames done, frames in all); cancel : returns True to stop (raises `Cancelled`)
+    client : of a cluster whose workers record the frames, instead of threads (docs/clusters.md)
 
     Raises `MufasaError` for positions, a seed or an engine that cannot be used.
     Peak memory: the result (optical 4 bytes and movie 2 bytes per pixel and frame) and one block per worker.
@@ -157,7 +175,7 @@ def simulate(
     shape = (acquisition.n_frames, *acquisition.scene.shape_px)
     optical = np.empty(shape, dtype=np.float32)
     movie = np.empty(shape, dtype=np.uint16)
-    for span, block in acquisition.blocks(workers=workers, progress=progress, cancel=cancel):
+    for span, block in acquisition.blocks(workers=workers, progress=progress, cancel=cancel, client=client):
         optical[span], movie[span] = block.optical, block.movie
     return Simulation(acquisition.emission, optical, movie, acquisition.scene.positions_px, model, seed)
 

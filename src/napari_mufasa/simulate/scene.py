@@ -112,10 +112,10 @@ class Scene:
         return self.setup.optics.background_photons_per_px * everywhere
 
     def optical(self, emission: NDArray[Any], frames: NDArray[np.int64]) -> NDArray[np.float32]:
-        """(frame, y, x) expected photons on the detector for these frames of an emission (molecule, frame)."""
+        """(frame, y, x) expected photons on the detector for an emission (molecule, frame) in these frames."""
         optical = self.setup.optics
         share = optical.collection_efficiency * optical.brightness_correction * self.brightness
-        photons = (emission[:, frames] * share[:, None]).T
+        photons = (emission * share[:, None]).T
         moves = np.any(self.shift_px[frames] != self.shift_px[frames[0]]) or self.walk_px is not None
         at = frames if moves else frames[:1]
         positions = self.positions_px[None] + self.shift_px[at, None]
@@ -146,10 +146,29 @@ class Scene:
 
     def record(self, emission: NDArray[Any], start: int, stop: int) -> Recording:
         """Frames start … stop−1 of the movie and their optical images; memory is that of the block."""
-        frames = np.arange(max(0, start - self.sensor.memory_frames), stop)
-        image = self.optical(emission, frames)
+        return self.record_block(self.block(emission, slice(start, stop)))
+
+    def block(self, emission: NDArray[Any], span: slice) -> Block:
+        """What frames of the movie are made of: their part of an emission (molecule, frame), and that of as many frames
+        before as the sensor remembers."""
+        begins = max(0, span.start - self.sensor.memory_frames)
+        return Block(emission[:, begins : span.stop], begins, span.start)
+
+    def record_block(self, block: Block) -> Recording:
+        frames = block.begins + np.arange(block.emission.shape[1])
+        image = self.optical(block.emission, frames)
         adu = camera.expose(image, self.setup.camera, self.streams, frames, self.sensor)
-        return Recording(image[start - frames[0] :], adu[start - frames[0] :])
+        kept = slice(block.start - block.begins, None)
+        return Recording(image[kept], adu[kept])
+
+
+@dataclass(frozen=True)
+class Block:
+    """Frames to record from `start` on: their emission (molecule, frame), which `begins` at a frame before."""
+
+    emission: NDArray[Any]
+    begins: int
+    start: int
 
 
 @dataclass(frozen=True)

@@ -113,21 +113,18 @@ def search(
     shortest, middle = np.full(shape, -np.inf, np.float32), np.full(shape, -np.inf, np.float32)
     recent = np.empty((0, *shape), np.float32)
     n_blocks = 0
-    for start, stack in frames.counts(block, report, cancel):
-        edges = np.arange(0, len(stack) + 1, block)  # frames left over at the end make no block
-        if len(edges) < 2:
+    for start, filtered in frames.worked(
+        FilteredMeans(block, sigma_px, drift_px), multiple=block, report=report, cancel=cancel
+    ):
+        first = start + block * np.arange(len(filtered))
+        if not len(first):
             continue
-        means = frames.flat(block_means(stack, edges))
-        first = start + edges[:-1]
-        if drift_px is not None:
-            means = kernels.moved_back(means, np.array([drift_px[f : f + block].mean(axis=0) for f in first]))
-        filtered = spot_filter(means, sigma_px)
         early += filtered[: np.count_nonzero(first < frames.n_frames / 5)].sum(axis=0)
         late += filtered[np.count_nonzero(first + block <= frames.n_frames * 4 / 5) :].sum(axis=0)
         filtered = np.concatenate([recent, filtered]) if len(recent) else filtered
         kernels.take_in(filtered, len(recent), total, steps, shortest, middle)
         recent = filtered[-(kernels.MIDDLE - 1) :]
-        n_blocks += len(means)
+        n_blocks += len(first)
     whole = (total / n_blocks).astype(np.float32)
     if n_blocks < 3:  # too short for differences in time: noise from the spread in space
         image = (whole / max(lower_spread(whole), 1e-12)).astype(np.float32)
@@ -142,6 +139,28 @@ def search(
     # Static structure that is no molecule (uneven light, fixed pattern) limits the long average.
     limited = np.maximum(whole_noise, np.float32(lower_spread(whole)))
     return Evidence(np.maximum(best, whole / limited), np.maximum(best, whole / whole_noise), early, late)
+
+
+@dataclass(frozen=True)
+class FilteredMeans:
+    """Filtered means (mean, y, x) over each `block` of frames, the drift (frame, 2) undone; frames left over at the end
+    make none."""
+
+    block: int
+    sigma_px: float
+    drift_px: NDArray[np.float64] | None = None
+
+    def __call__(self, frames: Frames, start: int, counts: NDArray[Any], _: Any = None) -> Stack:
+        from napari_mufasa.spots import kernels
+
+        edges = np.arange(0, len(counts) + 1, self.block)
+        if len(edges) < 2:
+            return np.empty((0, *frames.shape[1:]), np.float32)
+        means = frames.flat(block_means(counts, edges))
+        if self.drift_px is not None:
+            moved = [self.drift_px[f : f + self.block].mean(axis=0) for f in start + edges[:-1]]
+            means = kernels.moved_back(means, np.array(moved))
+        return spot_filter(means, self.sigma_px)
 
 
 def peak_offsets(image: NDArray[np.floating], peaks: NDArray[np.int64]) -> NDArray[np.float64]:

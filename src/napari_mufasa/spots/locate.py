@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.camera.frames import Frames
+from napari_mufasa.cluster import in_order
 from napari_mufasa.spots.evidence import border_noise, lower_spread, spot_filter
 
 Array = NDArray[np.float64]
@@ -53,21 +54,33 @@ def locate(
     """
     level = THRESHOLD_SIGMA if threshold_sigma is None else threshold_sigma
     uneven = border_noise((frames.shape[1], frames.shape[2]), sigma_px)
-    found = []
-    for first, images in _with_margin(frames, report, cancel):
-        filtered = spot_filter(images, sigma_px) / uneven
+    blocks = _with_margin(frames, report, cancel)
+    found = list(in_order(_Located(sigma_px, level, uneven), blocks, client=frames.client, workers=0, cancel=cancel))
+    return Places(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+@dataclass(frozen=True)
+class _Located:
+    """Finds the spots in (first frame, images) with a frame more at either end: as in `Places`."""
+
+    sigma_px: float
+    level: float
+    uneven: NDArray[np.float32]
+
+    def __call__(self, block: tuple[int, NDArray[np.float32]]) -> tuple[NDArray[Any], ...]:
+        (first, images), sigma_px = block, self.sigma_px
+        filtered = spot_filter(images, sigma_px) / self.uneven
         n = len(images) - 2 * (AVERAGED // 2)
         inner = slice(AVERAGED // 2, AVERAGED // 2 + n)
         means, means_filtered = _running_mean(images), _running_mean(filtered)
-        frame, pixel, strength = _maxima(means_filtered, level, sigma_px)
+        frame, pixel, strength = _maxima(means_filtered, self.level, sigma_px)
         place, good = fit_places(means, frame, pixel, sigma_px)
         frame, place, strength = frame[good], place[good], strength[good]
         nearest = np.clip(np.rint(place).astype(np.int64), 0, np.array(images.shape[1:]) - 1)
         own, seen = fit_places(images[inner], frame, nearest, sigma_px, place - nearest)
         y, x = np.clip(np.rint(own).astype(np.int64), 0, np.array(images.shape[1:]) - 1).T
         seen &= filtered[inner][frame, y, x] > OWN_SIGMA * _noise(filtered[inner])[frame]
-        found.append((frame + first, place, strength, np.where(seen[:, None], own, np.nan)))
-    return Places(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        return frame + first, place, strength, np.where(seen[:, None], own, np.nan)
 
 
 def _with_margin(

@@ -57,6 +57,13 @@ class LitImages:
         self.offsets += weight[:, None, None] * opening.window_offset
         self.inside &= opening.inside
 
+    def include(self, other: LitImages) -> None:
+        """Add what further frames showed."""
+        self.images += other.images
+        self.weight += other.weight
+        self.offsets += other.offsets
+        self.inside &= other.inside
+
     def measure(self, sigma_px: float, iterations: int = 12) -> Shapes:
         """Position and width by moments under a Gaussian window of the PSF's width that follows the spot.
 

@@ -20,6 +20,7 @@ from napari_mufasa.traces.options import Options, chosen_options, roi_mask
 
 if TYPE_CHECKING:
     import pandas as pd
+    from distributed import Client
 
     from napari_mufasa.model.setup import Camera
 
@@ -87,6 +88,7 @@ def extract_traces(
     unit: Unit = "adu",
     progress: Progress | None = None,
     cancel: Callable[[], bool] | None = None,
+    client: Client | None = None,
     **changes: Any,
 ) -> TraceSet:
     """Find single molecules in a movie and give their traces in photoelectrons (docs/traces.md).
@@ -99,6 +101,7 @@ def extract_traces(
     positions_px : (molecule, 2) known positions; nothing is detected then
     unit : what the movie's numbers are: "adu", "photoelectrons" or "photons"
     progress : called with (frames read, frames to read); cancel : True stops (raises `Cancelled`)
+    client : of a cluster whose workers are sent the blocks (docs/clusters.md)
 
     Returns
     -------
@@ -109,7 +112,7 @@ def extract_traces(
     MufasaError : a movie, dark frames or option that cannot be used.
     """
     options = chosen_options(options, changes)
-    frames = Frames(movie, camera, dark, unit)
+    frames = Frames(movie, camera, dark, unit, client)
     if options.roi is not None:
         roi_mask(options.roi, frames.shape[1:])
     if options.window is not None and not 1 <= options.window <= frames.n_frames:

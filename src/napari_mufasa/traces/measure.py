@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,24 +32,7 @@ def measure(
     motion: NDArray[np.float64] | None, report: Callable[[int], None], cancel: Callable[[], bool] | None,
 ) -> Measured:  # fmt: skip
     """The second pass: traces, local backgrounds, lit images, noise."""
-    shape = frames.shape[1:]
-    share = options.profile, options.subtract_background
-    opening = aperture.aperture(positions, shape, sigma, share[0], subtract_background=share[1])
-    lit_images = LitImages(opening.window.shape)
-    traces = np.empty((len(positions), frames.n_frames), np.float32)
-    background = np.empty_like(traces)
-    level = _Level()
-    for start, stack in frames.blocks(report=report, cancel=cancel):
-        for first, last in drift.still_parts(motion, start, start + len(stack)):
-            if motion is not None:
-                moved = positions + motion[first:last].mean(axis=0)
-                opening = aperture.aperture(moved, shape, sigma, share[0], subtract_background=share[1])
-            span, part = slice(first, last), stack[first - start : last - start]
-            traces[:, span], background[:, span] = opening.traces(part)
-            near = light_around(traces[:, span])
-            lit_images.add(opening, part, near, background[:, span])
-        level.add(stack)
-    return Measured(traces, background, lit_images.measure(sigma), level.noise_e(), level.mean_e())
+    return _measured(frames, _InPlace(positions, sigma, _Kind.of(options), motion), sigma, report, cancel)
 
 
 def measure_along(
@@ -57,41 +41,124 @@ def measure_along(
 ) -> Measured:  # fmt: skip
     """The same along paths (molecule, frame, 2); the lit image is that of the frames in which each was `seen`
     (molecule, frame)."""
-    traces = np.empty(path_px.shape[:2], np.float32)
-    background = np.empty_like(traces)
-    lit_images: LitImages | None = None
-    level = _Level()
-    for start, stack in frames.blocks(report=report, cancel=cancel):
-        readings = []
-        for t in range(len(stack)):
-            reading = aperture.read_frame(
-                stack[t], path_px[:, start + t], sigma, options.profile, subtract_background=options.subtract_background
+
+    def of(span: slice) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        return path_px[:, span], seen[:, span]
+
+    return _measured(frames, _Along(sigma, _Kind.of(options)), sigma, report, cancel, of)
+
+
+def _measured(
+    frames: Frames, reads: _InPlace | _Along, sigma: float, report: Callable[[int], None] | None,
+    cancel: Callable[[], bool] | None, beside: Callable[[slice], Any] = lambda span: None,
+) -> Measured:  # fmt: skip
+    blocks = [block for _, block in frames.worked(reads, beside, report=report, cancel=cancel)]
+    lit_images = blocks[0].lit_images
+    for block in blocks[1:]:
+        lit_images.include(block.lit_images)
+    variances = [block.variance for block in blocks if block.variance is not None]
+    return Measured(
+        np.concatenate([block.traces for block in blocks], axis=1),
+        np.concatenate([block.background for block in blocks], axis=1),
+        lit_images.measure(sigma),
+        float(np.sqrt(np.mean(variances))) if variances else float("nan"),
+        float(np.mean([block.mean for block in blocks])),
+    )
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What a block of frames shows: traces, background (candidate, frame); mean and variance in time of its pixels,
+    None of a single frame."""
+
+    traces: NDArray[np.float32]
+    background: NDArray[np.float32]
+    lit_images: LitImages
+    mean: float
+    variance: float | None
+
+    @classmethod
+    def of(
+        cls, stack: Stack, traces: NDArray[np.float32], background: NDArray[np.float32], lit_images: LitImages
+    ) -> _Read:
+        steps = np.diff(stack, axis=0) if len(stack) > 1 else None
+        variance = None if steps is None else float(np.median(np.mean(steps**2, axis=0))) / 2
+        return cls(traces, background, lit_images, float(stack.mean(dtype=np.float64)), variance)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What a trace is."""
+
+    profile: aperture.Profile
+    subtract_background: bool
+
+    @classmethod
+    def of(cls, options: Options) -> _Kind:
+        return cls(options.profile, options.subtract_background)
+
+
+@dataclass(frozen=True)
+class _InPlace:
+    """Reads molecules at places that only the field moves, by `motion` (frame, 2)."""
+
+    positions: NDArray[np.float64]
+    sigma: float
+    kind: _Kind
+    motion: NDArray[np.float64] | None
+    _apertures: dict[tuple[int, int], aperture.Aperture] = field(default_factory=dict)
+
+    def __call__(self, frames: Frames, start: int, counts: NDArray[Any], _: Any) -> _Read:
+        stack = frames.electrons(counts, start)
+        traces = np.empty((len(self.positions), len(stack)), np.float32)
+        background = np.empty_like(traces)
+        lit_images: LitImages | None = None
+        for first, last in drift.still_parts(self.motion, start, start + len(stack)):
+            opening = self._opening(frames.shape[1:], first, last)
+            lit_images = lit_images or LitImages(opening.window.shape)
+            span = slice(first - start, last - start)
+            traces[:, span], background[:, span] = opening.traces(stack[span])
+            lit_images.add(opening, stack[span], light_around(traces[:, span]), background[:, span])
+        assert lit_images is not None  # a block has frames
+        return _Read.of(stack, traces, background, lit_images)
+
+    def _opening(self, shape: tuple[int, int], first: int, last: int) -> aperture.Aperture:
+        """One for all frames where nothing moves."""
+        made, kind = self._apertures, self.kind
+        if self.motion is not None:
+            moved = self.positions + self.motion[first:last].mean(axis=0)
+            return aperture.aperture(
+                moved, shape, self.sigma, kind.profile, subtract_background=kind.subtract_background
             )
-            traces[:, start + t], background[:, start + t] = reading.trace, reading.background
-            readings.append(reading)
-        near = light_around(traces[:, start : start + len(stack)]) * seen[:, start : start + len(stack)]
-        lit_images = lit_images or LitImages(readings[0].window.shape)
+        if shape not in made:
+            made[shape] = aperture.aperture(
+                self.positions, shape, self.sigma, kind.profile, subtract_background=kind.subtract_background
+            )
+        return made[shape]
+
+
+@dataclass(frozen=True)
+class _Along:
+    """Reads molecules along their paths, `beside` being those of the block and where they are seen: (molecule, frame,
+    2) and (molecule, frame)."""
+
+    sigma: float
+    kind: _Kind
+
+    def __call__(self, frames: Frames, start: int, counts: NDArray[Any], beside: Any) -> _Read:
+        stack = frames.electrons(counts, start)
+        path_px, seen = beside
+        readings = [
+            aperture.read_frame(
+                image, path_px[:, t], self.sigma, self.kind.profile,
+                subtract_background=self.kind.subtract_background,
+            )
+            for t, image in enumerate(stack)
+        ]  # fmt: skip
+        traces = np.stack([reading.trace for reading in readings], axis=1).astype(np.float32)
+        background = np.stack([reading.background for reading in readings], axis=1).astype(np.float32)
+        near = light_around(traces) * seen
+        lit_images = LitImages(readings[0].window.shape)
         for t, reading in enumerate(readings):
-            lit_images.add(reading, stack[t : t + 1], near[:, t : t + 1], background[:, start + t : start + t + 1])
-        level.add(stack)
-    assert lit_images is not None  # a movie has frames
-    return Measured(traces, background, lit_images.measure(sigma), level.noise_e(), level.mean_e())
-
-
-class _Level:
-    """Mean and temporal noise of a movie, block by block."""
-
-    def __init__(self) -> None:
-        self.means: list[float] = []
-        self.variances: list[float] = []
-
-    def add(self, stack: Stack) -> None:
-        self.means.append(float(stack.mean(dtype=np.float64)))
-        if len(stack) > 1:
-            self.variances.append(float(np.median(np.mean(np.diff(stack, axis=0) ** 2, axis=0))) / 2)
-
-    def noise_e(self) -> float:
-        return float(np.sqrt(np.mean(self.variances))) if self.variances else float("nan")
-
-    def mean_e(self) -> float:
-        return float(np.mean(self.means))
+            lit_images.add(reading, stack[t : t + 1], near[:, t : t + 1], background[:, t : t + 1])
+        return _Read.of(stack, traces, background, lit_images)
