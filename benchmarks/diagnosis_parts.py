@@ -4,8 +4,8 @@
     python -m benchmarks.diagnosis_parts --against FOLDER   this code over that of another clone, part by part
     python -m benchmarks.diagnosis_parts --same FOLDER      whether both see the same in simulations of every effect
 
-Processor time of one core, the least of some rounds; the two codes take turns, a process each. Run it with nothing
-else at work.
+Processor time of one core, the least of three runs, in rounds; the two codes take turns, a process each. Run it with
+nothing else at work.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from benchmarks.pages import header, row
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.effects import catalogue
-from napari_mufasa.observe import observe, view_dark
+from napari_mufasa.observe import observe, photoelectrons_per_adu, view_dark
 from napari_mufasa.observe.pixels import pixel_statistics
 from napari_mufasa.simulate.movie import simulate, simulate_dark
 from napari_mufasa.spots.follow import find_and_follow
@@ -36,9 +36,7 @@ from napari_mufasa.traces.dynamics import dynamics
 
 ROOT = Path(__file__).resolve().parents[1]
 ROUNDS = 12
-WHOLE, SIMULATING, OBSERVING = "one simulation, observed", "simulate", "observe"
-DARK, DARK_SEEN = "dark frames, simulated", "dark frames, observed"
-WITHIN = ("find and follow", "on and off", "pixels")
+WHOLE, LIMIT = "one simulation, observed", "limit: one float32 normal per pixel"
 
 
 def bench_of(base: str, seed: int = 1, n_molecules: int = 50) -> MovieBench:
@@ -58,35 +56,33 @@ def least(run: Callable[[], object], repeats: int = 3) -> float:
 
 
 class Parts:
-    """What a simulation is made of, ready to be timed again and again; every round has a seed of its own."""
+    """What a simulation is made of, ready to be timed."""
 
-    def __init__(self) -> None:
-        self.bench = bench_of("emccd")
-        self.model = self.bench.matched(self.bench.start)
-        assert self.bench.measurement.dark is not None
-        self.n_dark = len(self.bench.measurement.dark)
-        self.seed = 0
-
-    def round(self) -> dict[str, float]:
-        """Seconds of each part."""
-        self.seed += 1
-        model, eyes, seed = self.model, self.bench.start, self.seed
-        camera, scale = eyes.camera, eyes.camera.electrons_per_adu / (eyes.camera.em_gain or 1.0)
-        movie, dark = simulate(model, seed=seed).movie, simulate_dark(model, self.n_dark, seed)
+    def __init__(self, seed: int = 1) -> None:
+        bench = bench_of("emccd")
+        model, eyes, shown = bench.matched(bench.start), bench.start, bench.measurement.dark
+        assert shown is not None
+        camera, scale, sigma = eyes.camera, photoelectrons_per_adu(eyes), eyes.sigma_px
+        movie, dark = simulate(model, seed=seed).movie, simulate_dark(model, len(shown), seed)
         view, label = view_dark(dark, eyes), np.ones(movie.shape[1:], np.int8)
-        light = find_and_follow(movie, camera, scale, eyes.sigma_px).light
+        light = find_and_follow(movie, camera, scale, sigma).light
         rng = np.random.default_rng(0)
-        return {
-            WHOLE: least(lambda: self.bench.simulated(model, seed)),  # the least of several: dark frames seen before
-            SIMULATING: least(lambda: simulate(model, seed=seed)),
-            OBSERVING: least(lambda: observe(movie, eyes, view)),
-            WITHIN[0]: least(lambda: find_and_follow(movie, camera, scale, eyes.sigma_px)),
-            WITHIN[1]: least(lambda: dynamics(light)),
-            WITHIN[2]: least(lambda: pixel_statistics(movie, camera.baseline_adu, label, 2)),
-            DARK: least(lambda: simulate_dark(model, self.n_dark, seed)),
-            DARK_SEEN: least(lambda: view_dark(dark, eyes)),
-            "limit": least(lambda: rng.standard_normal(movie.shape, dtype=np.float32)),
+        self.runs: dict[str, Callable[[], object]] = {
+            WHOLE: lambda: bench.simulated(model, seed),  # the least of several: dark frames seen before
+            "simulate": lambda: simulate(model, seed=seed),
+            "observe": lambda: observe(movie, eyes, view),
+            "find and follow": lambda: find_and_follow(movie, camera, scale, sigma),
+            "on and off": lambda: dynamics(light),
+            "pixels": lambda: pixel_statistics(movie, camera.baseline_adu, label, 2),
+            "dark frames, simulated": lambda: simulate_dark(model, len(shown), seed),
+            "dark frames, observed": lambda: view_dark(dark, eyes),
+            LIMIT: lambda: rng.standard_normal(movie.shape, dtype=np.float32),
         }
+        for run in self.runs.values():
+            run()
+
+    def seconds(self, name: str) -> float:
+        return least(self.runs[name])
 
 
 def seen() -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
@@ -104,11 +100,11 @@ def serve() -> None:
     """Answer each line that comes in with a line: the side of `--against` and `--same` that runs a given code."""
     parts: Parts | None = None
     for line in sys.stdin:
-        if line.strip() == "seen":
+        if (asked := line.strip()) == "seen":
             print(json.dumps({name: values.tolist() for name, values in seen()}), flush=True)
             continue
         parts = parts or Parts()
-        print(json.dumps(parts.round()), flush=True)
+        print(json.dumps(parts.seconds(asked) if asked else list(parts.runs)), flush=True)
 
 
 class Code:
@@ -121,35 +117,29 @@ class Code:
             command, cwd=ROOT, env=os.environ | paths, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
 
-    def ask(self, what: str) -> dict[str, Any]:
+    def ask(self, what: str) -> Any:
         assert self.process.stdin is not None and self.process.stdout is not None
         self.process.stdin.write(what + "\n")
         self.process.stdin.flush()
-        answer: dict[str, Any] = json.loads(self.process.stdout.readline())
-        return answer
-
-
-def best(rounds: list[dict[str, float]]) -> dict[str, float]:
-    return {name: min(r[name] for r in rounds) for name in rounds[0]}
+        return json.loads(self.process.stdout.readline())
 
 
 def shares(rounds: int) -> Iterator[str]:
     parts = Parts()
-    found = best([parts.round() for _ in range(rounds + 1)][1:])
+    found = {name: min(parts.seconds(name) for _ in range(rounds)) for name in parts.runs}
     yield from header("part", "share of one simulation, observed", "over one float32 normal per pixel")
-    for name in [n for n in found if n != "limit"]:
-        yield row(name, found[name] / found[WHOLE], found[name] / found["limit"])
+    for name, seconds in found.items():
+        yield row(name, seconds / found[WHOLE], seconds / found[LIMIT])
 
 
 def against(folder: Path, rounds: int) -> Iterator[str]:
-    codes = [Code(ROOT), Code(folder)]
-    for code in codes:
-        code.ask("round")  # which compiles
-    turns = [[code.ask("round") for code in codes] for _ in range(rounds)]
-    ours, theirs = (best([turn[i] for turn in turns]) for i in (0, 1))
-    yield from header("part", "this code / the other")
-    for name in ours:
-        yield row(name, ours[name] / theirs[name])
+    ours, theirs = Code(ROOT), Code(folder)
+    names = [name for name, _ in zip(ours.ask(""), theirs.ask(""), strict=True)]
+    yield from header("part", "this code / the other, median", "half of the pairs lie within")
+    for name in names:
+        ratios = [ours.ask(name) / theirs.ask(name) for _ in range(rounds)]
+        low, middle, high = np.quantile(ratios, [0.25, 0.5, 0.75])
+        yield row(name, float(middle), f"{low:.2f} … {high:.2f}")
 
 
 def same(folder: Path) -> Iterator[str]:
