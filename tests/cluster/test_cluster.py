@@ -84,6 +84,7 @@ def test_a_job_that_is_waited_for_can_be_cancelled_and_is_then_unwanted(client):
     assert not cluster.unwanted()  # this is no job
 
 
+@pytest.mark.slow
 def test_a_job_that_ends_every_worker_is_told(client):
     with pytest.raises(nm.MufasaError, match="ended 4 workers of the cluster"):
         list(cluster.in_order(os._exit, [1], client=client))
@@ -190,6 +191,7 @@ def written(folder: Path) -> dict[str, bytes]:
     return found
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_a_batch_loses_nothing(client, movies, tmp_path):
     settings, victim = Settings(steps=("denoise", "traces")), a_worker(client)
     here = list(run(movies, tmp_path / "here", settings))

@@ -63,12 +63,11 @@ def check(client: Any) -> None:
         raise MufasaError("client is asynchronous: give distributed.Client(ADDRESS) of a program that is not")
     if client.status != "running":
         raise MufasaError("client is closed: open a new one with distributed.Client(ADDRESS)")
-    with contextlib.suppress(ValueError):  # there is none
-        if distributed.Client.current() is client:
-            raise MufasaError(
-                "client is the default one, by which dask would also read movies: open it with "
-                "distributed.Client(ADDRESS, set_as_default=False)"
-            )
+    if _default() is client:
+        raise MufasaError(
+            "client is the default one, by which dask would also read movies: open it with "
+            "distributed.Client(ADDRESS, set_as_default=False)"
+        )
     if client in _checked:
         return
     at = client.scheduler.address
@@ -93,6 +92,14 @@ def check(client: Any) -> None:
                 stacklevel=2,
             )
     _checked.add(client)
+
+
+def _default() -> Any:
+    """The client by which dask computes, if there is one."""
+    try:
+        return _distributed().Client.current()
+    except ValueError:
+        return None
 
 
 def machine() -> dict[str, Any]:

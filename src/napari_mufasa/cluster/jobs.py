@@ -129,22 +129,29 @@ def _result(future: Any, client: Any, cancel: Cancel | None) -> Any:
 
     from distributed import KilledWorker
 
-    while True:
-        try:
-            return future.result(timeout=LOOK_S)
-        except KilledWorker as error:
-            raise MufasaError(
-                f"a job ended {error.allowed_failures + 1} workers of the cluster one after the other: look into their "
-                "logs, and give them more memory"
-            ) from None
-        except (CancelledError, OSError) as error:
-            if future.status == "error":  # the job's own
-                raise
-            if not isinstance(error, TimeoutError) or client.status not in ("running", "connecting"):
-                raise MufasaError(
-                    "the scheduler of the cluster is gone, and what it held with it: start it again, and this work"
-                ) from None
-            _stop_if(cancel)
+    is_done = threading.Event()
+    future.add_done_callback(lambda _: is_done.set())
+    # `future.result` with a time limit would give up what is on its way: a large block would never come.
+    while not future.done():
+        is_done.wait(LOOK_S)
+        _stop_if(cancel)
+        if client.status not in ("running", "connecting"):
+            raise _gone()
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise MufasaError(
+            f"a job ended {error.allowed_failures + 1} workers of the cluster one after the other: look into their "
+            "logs, and give them more memory"
+        ) from None
+    except (CancelledError, OSError):
+        if future.status == "error":  # the job's own
+            raise
+        raise _gone() from None
+
+
+def _gone() -> MufasaError:
+    return MufasaError("the scheduler of the cluster is gone, and what it held with it: start it again, and this work")
 
 
 def _stop_if(cancel: Cancel | None) -> None:
