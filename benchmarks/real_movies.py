@@ -12,7 +12,6 @@ floor: W1 between halves of the measured molecules.
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from benchmarks.scenes import REAL_DATA as DATA
 from napari_mufasa import files
 from napari_mufasa.cli.console import working
 from napari_mufasa.compare import compare_movie
+from napari_mufasa.discover.bench import WORKERS
 from napari_mufasa.report import html as html_report
 from napari_mufasa.report.words import chosen_candidates, effect_title, parameter_lines, verdict_text
 from napari_mufasa.traces import extract_traces
@@ -50,7 +50,8 @@ def movies() -> Iterator[tuple[str, Any, nm.Model, Any, dict[str, Any]]]:
 def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
     """One movie's section, as Markdown."""
     line, fall = verdict_text(report)
-    spent = f"{report.seconds / 60:.1f} min on {os.cpu_count()} cores"
+    used = report.simulations
+    spent = f"{used['spent']} of {used['budget']} simulations, {report.seconds / 60:.1f} min on {WORKERS} core{'s' * (WORKERS > 1)}"
     rows = [f"### {name}", "", f"{size}. **{line}** {fall} ({spent}.)", ""]
     rows += ["| model | error | fitted |", "|---|---|---|"]
     candidates = {c.effect: c for c in chosen_candidates(report)}
