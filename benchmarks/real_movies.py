@@ -51,7 +51,8 @@ def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
     """One movie's section, as Markdown."""
     line, fall = verdict_text(report)
     used = report.simulations
-    spent = f"{used['spent']} of {used['budget']} simulations, {report.seconds / 60:.1f} min on {WORKERS} core{'s' * (WORKERS > 1)}"
+    cores = f"{WORKERS} core{'s' * (WORKERS > 1)}"
+    spent = f"{used['spent']} of {used['budget']} simulations, {report.seconds / 60:.1f} min on {cores}"
     rows = [f"### {name}", "", f"{size}. **{line}** {fall} ({spent}.)", ""]
     rows += ["| model | error | fitted |", "|---|---|---|"]
     candidates = {c.effect: c for c in chosen_candidates(report)}
