@@ -96,13 +96,15 @@ def test_a_movie_larger_than_memory_streams(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="a process's anonymous memory is told by Linux")
-def test_memory_does_not_grow_with_the_length_of_a_movie(tmp_path):
-    # 512 frames more are 38 MB as recorded and 75 MB as float32; peaks of one length scatter by a few MB.
+def test_memory_does_not_grow_with_the_length_of_a_movie(tmp_path, monkeypatch):
+    # 256 frames more are 75 MB as recorded and 151 MB as float32. What is freed is handed back at once, so that peaks
+    # are what is held, and not what the C library keeps.
+    monkeypatch.setenv("MALLOC_MMAP_THRESHOLD_", "65536")
     nm.preset("FF").to_json(tmp_path / "model.json")
     given, peaks = ["--model", str(tmp_path / "model.json")], {}
-    for frames in (128, 640):
+    for frames in (160, 416):
         movie = str(tmp_path / f"{frames}.zarr")
-        size = ["--frames", str(frames), "--shape", "192", "192", "--n-molecules", "100"]
+        size = ["--frames", str(frames), "--shape", "384", "384", "--n-molecules", "100"]
         peaks[frames] = [
             most_anonymous_gb(arguments)
             for arguments in (
@@ -111,8 +113,8 @@ def test_memory_does_not_grow_with_the_length_of_a_movie(tmp_path):
                 ["traces", movie, *given, "--out", str(tmp_path / f"t{frames}")],
             )
         ]
-    grown = np.subtract(peaks[640], peaks[128])
-    assert np.all(grown < 0.03), grown
+    grown = np.subtract(peaks[416], peaks[160])
+    assert np.all(grown < 0.04), (grown, peaks)
 
 
 @pytest.mark.parametrize("frames", [1, 3, 8, 31])
