@@ -70,3 +70,17 @@ def test_peak_is_found_and_the_second_is_elsewhere_in_time(label):
     found = pixel_statistics(movie, BASELINE, label, 2)
     assert found.peak[3, 4] == 4900 and found.second[3, 4] == 100
     assert found.second[6, 6] == 3900
+
+
+@pytest.mark.parametrize("shape", [(2, 9, 5), (3, 4, 30), (13, 3, 2100)])
+def test_few_frames_and_wide_fields_are_whole(shape):
+    movie = np.random.default_rng(2).integers(90, 400, shape, dtype=np.uint16)
+    found = pixel_statistics(movie, BASELINE, np.ones(shape[1:], np.int8), 2)
+    data, n = movie - BASELINE, len(movie)
+    steps, half = np.diff(data, axis=0) ** 2, (np.arange(1, n) * 2 // n)[:, None, None]
+    for i in (0, 1):
+        np.testing.assert_allclose(found.step_variance[i], (steps * (half == i)).sum(axis=0) / (n - 1))
+    right = (data[:, :-1, :-1] * data[:, :-1, 1:]).mean(0) - data.mean(0)[:-1, :-1] * data.mean(0)[:-1, 1:]
+    np.testing.assert_allclose(found.right, right, atol=1e-7)
+    np.testing.assert_array_equal(found.peak, data.max(axis=0))
+    np.testing.assert_array_equal(found.peak_frame, data.argmax(axis=0))

@@ -9,7 +9,8 @@ from napari_mufasa import optics
 from napari_mufasa.spots.drift import common_path
 from napari_mufasa.spots.evidence import block_means, spot_filter
 from napari_mufasa.spots.follow import find_and_follow
-from napari_mufasa.spots.kernels import moved_back
+from napari_mufasa.spots.kernels import fit_weights, moved_back
+from napari_mufasa.spots.quantiles import quantiles
 
 SIGMA, SCALE, BASELINE = 1.3, 0.1, 200.0
 SHAPE = (64, 64)
@@ -125,3 +126,25 @@ def test_images_are_moved_back_as_scipy_does():
     shifts = np.array([[1.3, -2.6], [-0.4, 0.0]])
     expected = [ndimage.shift(i, -s, order=1, mode="nearest") for i, s in zip(images, shifts, strict=True)]
     np.testing.assert_allclose(moved_back(images, shifts), expected, atol=1e-6)
+
+
+def test_weights_tell_each_term_apart():
+    """Each row gives 1 for its own term of the series and 0 for those it is fitted with."""
+    size, centre = 9, np.array([[[4.3, 3.8]]])
+    weights = fit_weights(centre, size, SIGMA)[0, 0].reshape(6, -1)
+    d = np.arange(size)[:, None] - centre[0, 0]
+    g = np.exp(-(d**2) / (2 * SIGMA**2)) / (np.sqrt(2 * np.pi) * SIGMA)
+    slope, bend = g * d / SIGMA**2, 0.5 * g * (d**2 - SIGMA**2) / SIGMA**4
+    y, x = 0, 1
+    pairs = [(g[:, y], g[:, x]), (slope[:, y], g[:, x]), (g[:, y], slope[:, x]), (np.ones(size), np.ones(size)),
+             (bend[:, y], g[:, x]), (g[:, y], bend[:, x]), (slope[:, y], slope[:, x])]  # fmt: skip
+    terms = np.array([np.outer(a, b).ravel() for a, b in pairs])
+    np.testing.assert_allclose(weights[:3] @ terms[:4].T, np.eye(3, 4), atol=1e-10)
+    np.testing.assert_allclose(weights[3:] @ terms.T, np.eye(7)[4:], atol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_quantiles_are_numpys(dtype):
+    values, shares = np.random.default_rng(4).normal(size=(3, 41)).astype(dtype), [0.0, 0.05, 0.5, 0.93, 1.0]
+    for some in (values, values[:, :1], values[0, :2]):
+        np.testing.assert_array_equal(quantiles(some, shares), np.quantile(some, shares, axis=-1))

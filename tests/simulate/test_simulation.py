@@ -235,3 +235,10 @@ def test_fine_grid_follows_moving_molecules():
     positions = np.array([[10.0, 10.0]])
     exact, on_grid = (simulate(m, positions, seed=12).optical for m in (model, grid))
     assert np.abs(on_grid - exact).sum() / (exact - 20).sum() < 0.06
+
+
+def test_the_movie_alone_is_that_of_the_whole_simulation(monkeypatch):
+    model = small("FF").with_effects(effect("image_lag"))
+    monkeypatch.setattr(simulation, "BLOCK_BYTES", 5 * 4 * 20 * 28)  # blocks of five frames
+    alone = simulation.SimulatedAcquisition(model, seed=3).movie()
+    np.testing.assert_array_equal(alone, simulate(model, seed=3).movie)
