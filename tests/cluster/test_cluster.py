@@ -23,17 +23,31 @@ from napari_mufasa.cluster import connection
 distributed = pytest.importorskip("distributed")
 
 
+def two_workers():
+    """Two processes with one thread each."""
+    return distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
+
+
+def client_of(workers):
+    return distributed.Client(workers.scheduler_address, set_as_default=False)
+
+
 @pytest.fixture(scope="module")
 def workers():
-    """Two processes with one thread each."""
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as two:
+    with two_workers() as two:
         yield two
 
 
 @pytest.fixture
 def client(workers):
-    with distributed.Client(workers.scheduler_address, set_as_default=False) as one:
-        one.wait_for_workers(2, timeout=60)
+    with client_of(workers) as one:
+        yield one
+
+
+@pytest.fixture
+def doomed():
+    """A client of workers of its own: what is killed does not always come back, and no other test shall wait for it."""
+    with two_workers() as two, client_of(two) as one:
         yield one
 
 
@@ -85,9 +99,9 @@ def test_a_job_that_is_waited_for_can_be_cancelled_and_is_then_unwanted(client):
 
 
 @pytest.mark.slow
-def test_a_job_that_ends_every_worker_is_told(client):
+def test_a_job_that_ends_every_worker_is_told(doomed):
     with pytest.raises(nm.MufasaError, match="ended 4 workers of the cluster"):
-        list(cluster.in_order(os._exit, [1], client=client))
+        list(cluster.in_order(os._exit, [1], client=doomed))
 
 
 # the same digits --------------------------------------------------------------------------------------------
@@ -140,19 +154,19 @@ def diagnosed(movie, model, dark, client, progress=None):
 
 
 @pytest.mark.slow
-def test_a_worker_killed_in_a_diagnosis_changes_no_digit(client):
+def test_a_worker_killed_in_a_diagnosis_changes_no_digit(doomed):
     model = small()
     movie = nm.simulate(model.with_effects(nm.catalogue()["stage_drift"](distance_px=2.0)), seed=1).movie
     dark = nm.simulate_dark(model, 20, 1)
-    victim, done = a_worker(client), []
+    victim, done = a_worker(doomed), []
 
     def kill_in_the_middle(n, _all):
         done.append(n)
         if len(done) == 12:
             os.kill(victim, signal.SIGKILL)
 
-    there = diagnosed(movie, model, dark, client, kill_in_the_middle)
-    assert len(done) > 30 and victim not in client.run(os.getpid).values()
+    there = diagnosed(movie, model, dark, doomed, kill_in_the_middle)
+    assert len(done) > 30 and victim not in doomed.run(os.getpid).values()
     assert there == diagnosed(movie, model, dark, None)
 
 
@@ -192,15 +206,15 @@ def written(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_a_worker_killed_in_a_batch_loses_nothing(client, movies, tmp_path):
-    settings, victim = Settings(steps=("denoise", "traces")), a_worker(client)
+def test_a_worker_killed_in_a_batch_loses_nothing(doomed, movies, tmp_path):
+    settings, victim = Settings(steps=("denoise", "traces")), a_worker(doomed)
     here = list(run(movies, tmp_path / "here", settings))
 
     def kill_in_the_middle(done, _all):
         if done == 1:
             os.kill(victim, signal.SIGKILL)
 
-    there = list(run(movies, tmp_path / "there", settings, client=client, progress=kill_in_the_middle))
+    there = list(run(movies, tmp_path / "there", settings, client=doomed, progress=kill_in_the_middle))
     assert [r.told for r in there] == [r.told for r in here] and [r.entry for r in there] == movies
     assert not any(r.error for r in there)
     one, other = written(tmp_path / "here"), written(tmp_path / "there")

@@ -79,7 +79,7 @@ def test_a_gain_that_is_wrong_shows(believed):
     """The table is what the camera believed made of the counts: with another gain the same counts are other numbers."""
     bench = TraceBench(made(believed), believed)
     wrong = believed.with_values({"camera.electrons_per_adu": 1.05 * believed.camera.electrons_per_adu})
-    one, other = (bench._traces(model, 3).mean() for model in (believed, wrong))
+    one, other = (bench.simulated.traces(model, 3).mean() for model in (believed, wrong))
     assert other / one == pytest.approx(1 / 1.05, rel=0.02)
 
 

@@ -26,6 +26,12 @@ MODULES = {
     "socket", "ssl", "http", "urllib", "urllib3", "requests", "httpx", "aiohttp", "ftplib", "smtplib", "telnetlib",
     "xmlrpc", "webbrowser", "fsspec", "ctypes",
 }  # fmt: skip
+#: What a module needs all the same, and why that reads nothing of a stranger.
+GRANTED = {
+    # Jobs go to the workers of a cluster that the user opened, as pickles like everything that Dask sends; none comes
+    # from a file.
+    "cluster/jobs.py": {"imports pickle"},
+}
 CALLS = {"eval", "exec", "compile", "__import__", "execfile", "breakpoint", "input"}
 METHODS = {
     ("os", "system"), ("os", "popen"), ("os", "execv"), ("os", "spawnl"), ("yaml", "load"), ("pd", "read_pickle"),
@@ -65,7 +71,8 @@ def _allows(word: ast.keyword) -> bool:
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_a_module_runs_and_fetches_nothing(path):
-    assert offences(ast.parse(path.read_text(encoding="utf-8"))) == []
+    found = {offence.split(": ")[1] for offence in offences(ast.parse(path.read_text(encoding="utf-8")))}
+    assert found == GRANTED.get(str(path.relative_to(PACKAGE)), set())
 
 
 @pytest.mark.parametrize(
