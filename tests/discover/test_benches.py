@@ -63,7 +63,7 @@ class GapBench(Bench):
     def free_values(self, model):
         return []
 
-    def read_off(self, kind, beside=None):
+    def read_off(self, kind, beside=None, part="all"):
         return {}
 
     simulated = matched = curves = w1 = restored = None

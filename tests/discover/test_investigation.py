@@ -64,7 +64,7 @@ def test_the_report_says_how_sure_it_is_and_what_each_effect_is_worth(played):
     data = played.to_dict()
     assert set(data) >= {"inclusion", "alternatives", "explained", "credibility", "remaining", "simulations"}
     assert set(played.inclusion) == MISSING and min(played.inclusion.values()) > 0.95
-    assert played.explained > 0.97 and played.credibility["before"] > 10 > 2 > played.credibility["after"] >= 1
+    assert played.explained > 0.97 and played.credibility_before > 10 > 2 > played.credibility >= 1
     assert [step["added"] for step in played.history[1:]] == played.chosen
     assert played.history[0]["error"] == played.error["before"] > 2 * played.error["after"]
     assert played.history[-1]["error"] == played.error["after"]
@@ -73,6 +73,7 @@ def test_the_report_says_how_sure_it_is_and_what_each_effect_is_worth(played):
     assert played.simulations["spent"] < played.simulations["budget"]
     off = played.observables[played.observables.z_after.abs() > 3]
     assert [r["observable"] for r in played.remaining] == list(off.sort_values("z_after", key=abs)[::-1].observable)
+    assert all(set(row) == {"observable", "title", "z", "measured", "simulated", "unit"} for row in played.remaining)
 
 
 def test_a_spent_budget_ends_the_search_and_is_told():

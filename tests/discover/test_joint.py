@@ -58,7 +58,7 @@ class ToyBench:
     def free_values(self, model):
         return list(self.values)
 
-    def read_off(self, kind, beside=None):
+    def read_off(self, kind, beside=None, part="all"):
         return {}
 
     def matched(self, model):
@@ -270,7 +270,7 @@ def test_no_more_is_spent_than_may_be():
 class ReadingBench(ToyBench):
     """The measurement shows the electrons directly, whatever a fit would say."""
 
-    def read_off(self, kind, beside=None):
+    def read_off(self, kind, beside=None, part="all"):
         return {"electrons": 12.0} if kind == "hot_pixels" else {}
 
 
@@ -281,6 +281,30 @@ def test_what_is_read_off_is_not_fitted():
     assert best(found)["hot_pixels"].electrons == 12.0 and found.state.free == ("hot_pixels.fraction",)
     assert set(found.uncertainties()["hot_pixels"]) == {"fraction"}
     assert found.misfit > usual_misfit()  # 20 % off in what was read off is left as it is
+
+
+class HalvesBench(ReadingBench):
+    """One half shows 12 electrons, the other 9."""
+
+    def read_off(self, kind, beside=None, part="all"):
+        electrons = {"all": 10.5, "white": 12.0, "black": 9.0}[part]
+        return {"electrons": electrons} if kind == "hot_pixels" else {}
+
+
+def test_a_half_is_judged_by_what_was_read_off_the_other():
+    bench = HalvesBench()
+    truth = bench.start.with_effects(HOT(fraction=5e-3, electrons=10.5))
+    model = bench.start.with_effects(HOT(fraction=5e-3, electrons=10.5))
+    near = build(bench, model, [], ["hot_pixels"])
+    x = bench.rows([(truth, 999)])[0]
+    state = near.base
+    for held, electrons in ((1, 9.0), (2, 12.0)):  # a half, and what the other half shows
+        other = bench.start.with_effects(HOT(fraction=5e-3, electrons=electrons))
+        np.testing.assert_allclose(state.unread[held], (bench.law(other) - bench.law(model))[held])
+    np.testing.assert_array_equal(state.unread[0], 0.0)
+    assert state.held_out_error(x) > 1.5 * replace(state, unread=0.0).held_out_error(x)  # readings that do not agree
+    assert np.ndim(joint.removed(near, "hot_pixels").unread) == 0  # nothing is read off any more
+    assert np.ndim(build(ToyBench(), model, [], ["hot_pixels"]).base.unread) == 0
 
 
 def test_what_does_not_matter_to_a_form_is_not_free():

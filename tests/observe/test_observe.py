@@ -137,6 +137,28 @@ def test_the_background_beyond_a_model_is_read_off():
     np.testing.assert_allclose(alike["course"], 1.0, atol=1e-3)
 
 
+def test_what_one_half_shows_does_not_depend_on_the_other():
+    """The light of the black tiles grows by half; what is read off the white ones stays what it was."""
+    model = small(**{"acquisition.shape_px": (96, 96), "optics.background_photons_per_px": 40.0})
+    movie = nm.simulate(model, seed=4).movie.astype(float)
+    growing = 1 + 0.5 * np.linspace(0, 1, len(movie))[:, None, None]
+    black = checkerboard(movie.shape[1:]) == 2
+    light = movie - model.camera.baseline_adu
+    changed = np.where(black, model.camera.baseline_adu + light * growing, movie)
+    plain, other = (observe(m, model) for m in (movie, changed))
+    for name, alike in (("white", True), ("black", False), ("all", False)):
+        one, two = plain.only(name), other.only(name)
+        assert np.allclose(one.course, two.course, rtol=0.02) == alike
+        same = np.isfinite(one.background_map) & np.isfinite(two.background_map)
+        assert np.allclose(one.background_map[same], two.background_map[same], rtol=0.05) == alike
+        assert (read_off("background_decay", two)["course"] == ()) == alike
+    white = plain.only("white")
+    np.testing.assert_array_equal(white.part("all"), plain.part("white"))
+    assert len(white.spots.light) == len(white.states.first) == int((plain.side == 1).sum())
+    assert white.spots.frame_shift.shape[1] == len(white.spots.light)
+    np.testing.assert_array_equal(plain.only("all").values[0], plain.values[0])
+
+
 def standing_apart(n_frames=120):
     """Molecules enough to tell a motion to a twentieth of a pixel in every frame."""
     return small(n_frames, **{"acquisition.shape_px": (96, 96), "sample.n_molecules": 40, "sample.min_distance_px": 8})

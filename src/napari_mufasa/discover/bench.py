@@ -95,9 +95,9 @@ class Bench(ABC, Generic[Seen]):
         """The model with its free values brought near the measurement by a few of its numbers."""
 
     @abstractmethod
-    def read_off(self, kind: str, beside: Model | None = None) -> dict[str, Any]:
-        """Parameters of an effect that the measurement shows directly, by name; some of them are what it shows beyond
-        the model that the effect is `beside` (None: beyond the one believed)."""
+    def read_off(self, kind: str, beside: Model | None = None, part: str = "all") -> dict[str, Any]:
+        """Parameters of an effect that a part of the measurement shows directly, by name; some of them are what it
+        shows beyond the model that the effect is `beside` (None: beyond the one believed)."""
 
     @abstractmethod
     def curves(self, before: Sequence[Seen], after: Sequence[Seen]) -> list[Curve]:

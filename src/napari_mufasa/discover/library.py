@@ -20,9 +20,10 @@ from napari_mufasa.discover.coordinates import Coordinate, changed, model_at
 from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.state import Ray, State, two_sided
+from napari_mufasa.discover.state import HALVES, Ray, State, two_sided
 from napari_mufasa.effects import Effect, catalogue
 from napari_mufasa.model.model import Model
+from napari_mufasa.observe import PARTS
 
 Array = NDArray[np.float64]
 BASE_SIMULATIONS = 60
@@ -30,6 +31,7 @@ CHECK_SIMULATIONS = 12  # fresh seeds that no mean, spread or correlation has se
 CHECK_SEED = 5_000
 PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of the range
 RENEWED = 10  # effects whose settings are simulated anew at a further stand: those that promise most by the last ones
+UNREAD = 6  # simulations of the model with what one half of the field shows directly
 RAYS = 4  # settings of each effect, plus one for each shape parameter
 
 
@@ -132,11 +134,34 @@ def build(
     base = _with_noise_of(replace(bare, slopes=slopes), rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
     library = Library(bench, base, rows, {})
+    base = replace(base, unread=_unread(library, [kind for kind in added if bench.read_off(kind)]))
+    library = replace(library, base=base)
     known = {kind: last[kind] for kind in kinds if kind in last} if last and x is not None else {}
     promise = {} if x is None else {kind: leads[0].gain for kind, leads in base.screen(x, known).items()}
     dull = sorted(promise, key=lambda kind: -promise[kind])[RENEWED:]
     library = replace(library, rays={kind: known[kind] for kind in dull})
     return with_rays(library, [kind for kind in kinds if kind not in dull])
+
+
+def _unread(library: Library, kinds: Sequence[str]) -> Array | float:
+    """`State.unread` of the base state: what effects of these `kinds` have read off each half alone."""
+    model, bench = library.base.model, library.bench
+    if not kinds:
+        return 0.0
+    change = np.zeros_like(library.base.mean)
+    for fit, held in HALVES:
+        effects = [
+            changed(e, bench.read_off(e.kind, _without(model, e.kind), PARTS[fit])) if e.kind in kinds else e
+            for e in model.effects
+        ]
+        other = model.model_copy(update={"effects": tuple(effects)})
+        rows = library.simulated([(other, k) for k in range(UNREAD)])
+        change[held] = (rows - library.rows[:UNREAD]).mean(axis=0)[held]
+    return change
+
+
+def _without(model: Model, kind: str) -> Model:
+    return model.model_copy(update={"effects": tuple(e for e in model.effects if e.kind != kind)})
 
 
 def with_rays(library: Library, kinds: Sequence[str]) -> Library:
@@ -182,7 +207,8 @@ def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -
 
 def expected_simulations(kinds: Sequence[str], n_free: int, model: Model) -> int:
     """How many simulations `build` makes at most."""
-    return BASE_SIMULATIONS + CHECK_SIMULATIONS + SLOPE_SEEDS * n_free + ray_simulations(kinds, model)
+    around = BASE_SIMULATIONS + CHECK_SIMULATIONS + len(HALVES) * UNREAD
+    return around + SLOPE_SEEDS * n_free + ray_simulations(kinds, model)
 
 
 def ray_simulations(kinds: Sequence[str], model: Model) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,7 @@ from napari_mufasa.discover.read_off import background_beyond, read_off
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
-from napari_mufasa.observe import DarkView, Observation, observe, view_dark
+from napari_mufasa.observe import PART_LABELS, PARTS, DarkView, Observation, checkerboard, observe, view_dark
 from napari_mufasa.simulate.movie import SimulatedAcquisition, simulate_dark
 
 if TYPE_CHECKING:
@@ -69,7 +68,8 @@ class MovieBench(Bench[Observation]):
         client: Client | None = None,
     ) -> None:
         self.measurement = measurement
-        self._beyond: dict[str, dict[str, Any]] = {}
+        self._shown: dict[str, list[Observation]] = {}
+        self._widths: dict[str, tuple[float, ...]] = {}
         dark_frames = 0 if measurement.dark is None else len(measurement.dark)
         self._simulated = SimulatedMovies(measurement.model, dark_frames)
         measured = observe(measurement.movie, measurement.model, measurement.dark)
@@ -101,24 +101,27 @@ class MovieBench(Bench[Observation]):
             model = nuisance.moment_step(model, measured, as_table(self.names, rows[:, 0].mean(axis=0)))
         return model
 
-    def read_off(self, kind: str, beside: Model | None = None) -> dict[str, Any]:
+    def read_off(self, kind: str, beside: Model | None = None, part: str = "all") -> dict[str, Any]:
         if kind == "converter_codes":
-            return {"widths": self._code_widths}
+            return {"widths": self._code_widths(part)}
+        measured = self.measured.only(part)
         if kind == "background_as_measured":
-            return self._background_beyond(beside or self.start)
-        return read_off(kind, self.measured)
+            return background_beyond(measured, [one.only(part) for one in self._shown_by(beside or self.start)])
+        return read_off(kind, measured)
 
-    @cached_property
-    def _code_widths(self) -> tuple[float, ...]:
-        dark = self.measurement.dark
-        return code_widths([self.measurement.movie, *(() if dark is None else (dark,))])
+    def _code_widths(self, part: str) -> tuple[float, ...]:
+        if part not in self._widths:
+            stacks = [stack for stack in (self.measurement.movie, self.measurement.dark) if stack is not None]
+            there = np.isin(checkerboard(stacks[0].shape[1:]), PART_LABELS[PARTS.index(part)])
+            self._widths[part] = code_widths([stack[:, there] for stack in stacks])
+        return self._widths[part]
 
-    def _background_beyond(self, model: Model) -> dict[str, Any]:
+    def _shown_by(self, model: Model) -> list[Observation]:
+        """What a few simulations of a model show."""
         key = model.model_dump_json()
-        if key not in self._beyond:
-            shown = self.observations([(model, BEYOND_SEED + k) for k in range(BEYOND)])
-            self._beyond[key] = background_beyond(self.measured, shown)
-        return self._beyond[key]
+        if key not in self._shown:
+            self._shown[key] = self.observations([(model, BEYOND_SEED + k) for k in range(BEYOND)])
+        return self._shown[key]
 
     def curves(self, before: Sequence[Observation], after: Sequence[Observation]) -> list[Curve]:
         return curves.draw(self.measured, before, after, self.start.acquisition.interval_s)

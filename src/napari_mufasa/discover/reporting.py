@@ -50,9 +50,10 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         w1=inquiry.bench.w1(before, after),
         notes=[*inquiry.bench.notes, *_notes(inquiry, verdict, table, completed)],
         inclusion={kind: round(sure, 4) for kind, (sure, _) in names.items()},
-        alternatives={kind: [kind, *others] for kind, (_, others) in names.items() if others},
+        alternatives=[[kind, *others] for kind, (_, others) in names.items() if others],
         explained=_explained(inquiry),
-        credibility={"before": _credibility(inquiry.first), "after": _credibility(stand)},
+        credibility=_credibility(stand),
+        credibility_before=_credibility(inquiry.first),
         remaining=_remaining(table),
         simulations={"spent": inquiry.bench.done, "budget": inquiry.budget},
     )
@@ -134,7 +135,7 @@ def _remaining(table: pd.DataFrame) -> list[dict[str, Any]]:
     return [
         {
             "observable": row.observable, "title": row.title, "z": float(row.z_after),
-            "off": float(row.measured - row.after), "unit": row.unit,
+            "measured": float(row.measured), "simulated": float(row.after), "unit": row.unit,
         }
         for _, row in off.iterrows()
     ]  # fmt: skip

@@ -88,11 +88,11 @@ class Report:
     seconds, seed : time by the clock; what chance was drawn from
     w1 : of a table of traces, W1 per frame between it and simulations: before, after, floor, unit; empty for movies
     inclusion : for each effect added, how sure its name is, 0 … 1, against what would explain as much in its place
-    alternatives : for each effect added that is not told apart: the set of kinds of which one it is
+    alternatives : sets of kinds, each of an effect added and those that the data cannot tell it from
     explained : share of the misfit beyond chance that the additions take away, 0 … 1
-    credibility : before, after: how many times fewer molecules or frames before nobody could tell model and movie apart
-        (1: they cannot be told apart now)
-    remaining : observables still off, worst first: observable, title, z, off (measured minus model) and its unit
+    credibility : how many times fewer molecules or frames before nobody could tell completed model and movie apart
+        (1: they cannot be told apart now); `credibility_before`: of the model believed
+    remaining : observables still off, worst first: observable, title, z, measured, simulated and their unit
     simulations : spent, and the budget
     check : what data that the finding has not seen say of it (`Confirmation.to_dict`, "against" what); {} where nobody
         asked
@@ -115,9 +115,10 @@ class Report:
     notes: list[str] = field(default_factory=list)
     w1: dict[str, Any] = field(default_factory=dict)
     inclusion: dict[str, float] = field(default_factory=dict)
-    alternatives: dict[str, list[str]] = field(default_factory=dict)
+    alternatives: list[list[str]] = field(default_factory=list)
     explained: float = 0.0
-    credibility: dict[str, float] = field(default_factory=dict)
+    credibility: float = 1.0
+    credibility_before: float = 1.0
     remaining: list[dict[str, Any]] = field(default_factory=list)
     simulations: dict[str, int] = field(default_factory=dict)
     check: dict[str, Any] = field(default_factory=dict)
@@ -141,6 +142,7 @@ class Report:
             "alternatives": self.alternatives,
             "explained": self.explained,
             "credibility": self.credibility,
+            "credibility_before": self.credibility_before,
             "remaining": self.remaining,
             "simulations": self.simulations,
             "check": self.check,

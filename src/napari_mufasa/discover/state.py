@@ -62,7 +62,9 @@ class State:
     mean, spread (part, observable) · slopes (part, observable, free value), free values with prior widths: the
     nuisance values (`values`) first, then effect parameters · whiten (part, observable, observable) · check
     (simulation, part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error
-    that the model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make
+    that the model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make ·
+    unread (part, observable) : how the means of the two halves change where what is read off the measurement is read
+    off the other half alone
 
     An observable that cannot be measured has an infinite (least) spread: whatever it is, it is no residual, and it is
     left out of every score and error.
@@ -79,6 +81,7 @@ class State:
     least_spread: Array
     values: tuple[Nuisance, ...] = ()
     floor: float = 1.0
+    unread: Array | float = 0.0
 
     @property
     def measurable(self) -> NDArray[np.bool_]:
@@ -101,14 +104,15 @@ class State:
         return room(self.model, self.values, self.free)
 
     def held_out_error(self, x: Array) -> float:
-        """rms whitened residual of each half of the field, free values fitted on the other half."""
+        """rms whitened residual of each half of the field, free values fitted, and all else read off, on the other."""
         return float(np.sqrt(np.mean([self._held_out(x, fit, held)[self.measurable] for fit, held in HALVES])))
 
     def _held_out(self, x: Array, fit: int, held: int) -> Array:
         """Squares of the whitened residuals of one half, free values fitted on the other."""
         moves = self.adjusted(x, fit).moves
+        mean = (self.mean + self.unread)[held]
         still = adjust(
-            x[held], self.mean[held] + self.slopes[held] @ moves, self.spread[held],
+            x[held], mean + self.slopes[held] @ moves, self.spread[held],
             np.zeros((x.shape[1], 0)), np.zeros(0), np.zeros((2, 0)), self.whiten[held], steps=0,
         )  # fmt: skip
         return np.square(still.residual)

@@ -173,7 +173,7 @@ class TraceBench(Bench[TraceNumbers]):
         least: Array = np.maximum(super().least_spread(), np.where(of_light, *LEAST_SPREAD))
         return least
 
-    def read_off(self, kind: str, beside: Model | None = None) -> dict[str, Any]:
+    def read_off(self, kind: str, beside: Model | None = None, part: str = "all") -> dict[str, Any]:
         return {}  # courses and directions are those of a field
 
     def curves(self, before: Sequence[TraceNumbers], after: Sequence[TraceNumbers]) -> list[Curve]:

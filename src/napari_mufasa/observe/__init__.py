@@ -6,7 +6,7 @@ and merges in both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,24 +24,55 @@ if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
 
 PARTS = ("all", "white", "black")
+PART_LABELS = ((1, 2), (1,), (2,))
 TILES = 6  # the field is a checkerboard of about TILES × TILES tiles: each half tests what the other was fitted to
 
 
 @dataclass(frozen=True)
 class Observation:
-    """Observables of one movie: (part, observable) values in a fixed order, and what they were made from."""
+    """Observables of one movie: (part, observable) values in a fixed order, and what they were made from.
+
+    side (molecule,) : the half of the field that each spot is in, 1 white, 2 black
+    courses (part, frame) : background, photoelectrons
+    maps (part, tile_y, tile_x) : background, photoelectrons, NaN under spots and outside the part
+    """
 
     values: NDArray[np.float64]
     names: tuple[str, ...]
     meanings: dict[str, Meaning]
     spots: Spots
     states: Dynamics  # of the spots' light
-    course: NDArray[np.float64]  # (frame,) background, photoelectrons
-    background_map: NDArray[np.float64]  # (tile_y, tile_x) background, photoelectrons, NaN under spots
+    side: NDArray[np.int8]
+    courses: NDArray[np.float64]
+    maps: NDArray[np.float64]
+
+    @property
+    def course(self) -> NDArray[np.float64]:
+        """(frame,) of the whole field."""
+        result: NDArray[np.float64] = self.courses[0]
+        return result
+
+    @property
+    def background_map(self) -> NDArray[np.float64]:
+        """(tile_y, tile_x) of the whole field."""
+        result: NDArray[np.float64] = self.maps[0]
+        return result
 
     def part(self, name: str) -> NDArray[np.float64]:
         result: NDArray[np.float64] = self.values[PARTS.index(name)]
         return result
+
+    def only(self, name: str) -> Observation:
+        """What a part of the field shows, as if it were all there is. The spots' common path is that of the field."""
+        i = PARTS.index(name)
+        here = np.isin(self.side, PART_LABELS[i])
+        values, courses, maps = (
+            np.repeat(v[i : i + 1], len(PARTS), axis=0) for v in (self.values, self.courses, self.maps)
+        )
+        return replace(
+            self, values=values, courses=courses, maps=maps, side=self.side[here], spots=self.spots.of(here),
+            states=self.states.of(here),
+        )  # fmt: skip
 
     def molecules(self) -> tuple[NDArray[np.float64], Dynamics]:
         """Light (molecule, frame) and dynamics of the molecules whose traces count."""
@@ -52,9 +83,6 @@ class Observation:
         """(frame,) the light of all molecules inside the field."""
         total: NDArray[np.float64] = self.spots.light[self.spots.inside].sum(axis=0)
         return total
-
-
-PART_LABELS = ((1, 2), (1,), (2,))
 
 
 @dataclass(frozen=True)
@@ -108,9 +136,15 @@ def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | DarkView | N
         tables.append(table)
     names = tuple(tables[0].values)
     values = np.array([list(t.values.values()) for t in tables])
-    course = pixels.row_sum[1:].sum(axis=(0, 2)) * scale / max(int((label > 0).sum()), 1)
-    background = field.tile_means(pixels.mean * scale, label > 0)
-    return Observation(values, names, tables[0].meanings, spots, states, course, background)
+    masks = [np.isin(label, labels) for labels in PART_LABELS]
+    courses = [
+        pixels.row_sum[list(labels)].sum(axis=(0, 2)) * scale / max(int(mask.sum()), 1)
+        for labels, mask in zip(PART_LABELS, masks, strict=True)
+    ]
+    maps = [field.tile_means(pixels.mean * scale, mask) for mask in masks]
+    return Observation(
+        values, names, tables[0].meanings, spots, states, side.astype(np.int8), np.array(courses), np.array(maps)
+    )
 
 
 def photoelectrons_per_adu(model: Model) -> float:

@@ -7,7 +7,7 @@ amplitudes are displacements and changes of width, linear in the data and theref
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,6 +48,12 @@ class Spots:
     shape: Array
     shape_weight: Array
     frame_shift: Array  # (frame, molecule, 2) light times displacement, photoelectrons px
+
+    def of(self, these: NDArray[np.bool_]) -> Spots:
+        """Some of the spots; the common path is that of all."""
+        kept = {f.name: getattr(self, f.name) for f in fields(self)} | {"frame_shift": self.frame_shift[:, these]}
+        other = {name: v[these] for name, v in kept.items() if name not in ("path_px", "frame_shift")}
+        return Spots(**kept | other)
 
     def common_motion(self) -> Array:
         """Where all spots are in every frame (frame, 2), px: the path of their apertures, and how far beside it."""
