@@ -88,6 +88,12 @@ def report(verdict: str = "missing_effect") -> Report:
         seconds=41.0,
         seed=1,
         evidence_needed=12.0,
+        alternatives=[["triplet_blinking", "long_dark_state"]] if chosen else [],
+        explained=0.994 if chosen else 0.0,
+        credibility=1.0 if adequate else 1.4 if chosen else 21.3,
+        credibility_before=1.0 if adequate else 21.3,
+        remaining=[{"observable": "spot_width", "title": "Spot width", "z": 4.2, "measured": 1.29, "simulated": 1.28,
+                    "unit": "px"}] if chosen else [],
         detectable={"stage_drift": 0.3, "focus_drift": 0.1, "cosmic_rays": None},
         notes=["Fitted on frames 0–199, judged on frames 200–299."],
     )  # fmt: skip

@@ -276,6 +276,34 @@ def test_an_effect_that_was_not_added_is_told_as_a_lead():
     assert "no effect tried lowers the error" in wording.verdict_text(worse)[0]
 
 
+def test_a_good_model_with_a_rest_does_not_read_like_a_failure(monkeypatch):
+    """Headline, page and terminal say both: what is explained, and that something stays off."""
+    import dataclasses
+
+    monkeypatch.setattr(html_report, "_picture", lambda drawing: {"light": "", "dark": ""})
+    good = dataclasses.replace(report(), verdict="unexplained")
+    line, sentence = wording.verdict_text(good)
+    assert line == "99.4 % of the misfit is explained by fast dark-state blinking; the rest by no known effect."
+    assert "from 2.93 to 1.04; noise alone gives 0.98" in sentence
+    told = wording.standing_lines(good)
+    assert told == [
+        "99.4 % of the misfit is explained, to 1.06 times the error that noise alone gives.",
+        "With 1.4 times fewer molecules or frames nobody could tell model and movie apart; "
+        "21 times as it was believed.",
+        "One of these, and the data cannot tell which: fast dark-state blinking or long dark state.",
+        "Still off: Spot width, 1.29 measured, 1.28 simulated px (+4 sd).",
+    ]
+    page = html_report.render(good)
+    assert all(text in page and f"  {text}" in wording.summary(good) for text in told)
+    assert wording.standing_lines(report("adequate")) == []
+    same = dataclasses.replace(good, credibility=1.0, explained=0.9999, remaining=[], alternatives=[])
+    assert wording.standing_lines(same)[0].startswith("99.9 % of") and len(wording.standing_lines(same)) == 2
+
+
+def test_names_are_listed():
+    assert [wording.listed("abc"[:n]) for n in range(4)] == ["", "a", "a and b", "a, b and c"]
+
+
 def test_what_is_still_off_is_told(monkeypatch):
     import dataclasses
 

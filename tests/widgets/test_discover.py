@@ -60,6 +60,7 @@ def test_report_fills_the_tables_and_a_click_shows_the_curve(panel):
     else:
         assert np.array_equal(panel.where.curve.data["measured"], curve.measured)
     assert list(panel.history.data["error"]) == [2.93, 1.04]
+    assert "to 1.06 times the error" in panel.standing.text() and "cannot tell which" in panel.standing.text()
 
 
 def test_curve_is_the_one_the_observable_belongs_to():

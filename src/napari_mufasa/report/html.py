@@ -21,6 +21,7 @@ from napari_mufasa.report.words import (
     effect_words,
     p_value_text,
     parameter_lines,
+    standing_lines,
     verdict_text,
 )
 
@@ -69,7 +70,7 @@ def render(
     )  # fmt: skip
     return pages.get_template("report.html.j2").render(
         title=title, subtitle=subtitle, report=report, line=line, sentence=sentence, effects=effects, extra=extra,
-        check=check_lines(report.check),
+        standing=standing_lines(report), check=check_lines(report.check),
         opening=[figures.pop(name) for name in OPENING if name in figures],
         observables_drawing=figures.pop("observables", None),
         observables_head=OBSERVABLES_HEAD,

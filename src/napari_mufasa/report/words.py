@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from napari_mufasa.discover.result import Candidate, Curve, Report
     from napari_mufasa.model.model import Model
+
+
+MOST_OFF = 3  # observables that are told as still off
 
 
 # effects, parameters, numbers ------------------------------------------------------------------------------
@@ -130,18 +133,57 @@ def verdict_text(report: Report) -> tuple[str, str]:
         line = "The model explains this measurement."
         return line, f"Its error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
     fall = f"The error on held-out data falls from {_two(before)} to {_two(after)}; noise alone gives {_two(floor)}."
-    chosen = " and ".join(in_text(kind) for kind in report.chosen)
+    chosen = listed(in_text(kind) for kind in report.chosen)
     if report.verdict == "missing_effect" and not report.chosen:
         return _lead(report)
     if report.verdict == "missing_effect":
         return f"Missing from the model: {chosen}.", fall
     if report.chosen:
-        part = f"{100 * report.explained:.0f} % of the misfit is explained. " if report.explained else ""
-        return f"Part of what is missing is {chosen}; the rest no known effect explains.", part + fall
+        share = f"{_percent(report.explained)} of the misfit" if report.explained else "Part of what is missing"
+        return f"{share} is explained by {chosen}; the rest by no known effect.", fall
     line = "Something is missing that no known effect explains."
     if report.ranking:
         line += f" It resembles {in_text(report.ranking[0].effect)} most."
     return line, f"The error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
+
+
+def standing_lines(report: Report) -> list[str]:
+    """How good the completed model is, what its names could also be, and what is still off in its own unit."""
+    lines = []
+    after, floor = report.error.get("after"), report.error.get("floor")
+    if report.chosen and after is not None and floor:
+        explained = f"{_percent(report.explained)} of the misfit is explained, to " if report.explained else ""
+        lines.append(f"{explained}{after / floor:.2f} times the error that noise alone gives.")
+    if report.credibility > 1.05:
+        lines.append(
+            f"With {report.credibility:.1f} times fewer molecules or frames nobody could tell model and movie apart"
+            + (f"; {report.credibility_before:.0f} times as it was believed." if report.chosen else ".")
+        )
+    elif report.chosen:
+        lines.append("These data cannot tell the completed model and the movie apart.")
+    for kinds in report.alternatives:
+        lines.append(f"One of these, and the data cannot tell which: {listed((in_text(k) for k in kinds), 'or')}.")
+    if report.chosen and report.remaining:
+        lines.append(f"Still off: {'; '.join(_off(row) for row in report.remaining[:MOST_OFF])}.")
+    return lines
+
+
+def _off(row: dict[str, Any]) -> str:
+    unit = f" {row['unit']}" if row["unit"] else ""
+    return (
+        f"{row['title']}, {row['measured']:.3g} measured, {row['simulated']:.3g} simulated{unit} ({row['z']:+.0f} sd)"
+    )
+
+
+def listed(names: Iterable[str], word: str = "and") -> str:
+    """ "a, b and c"."""
+    *first, last = list(names) or [""]
+    return f"{', '.join(first)} {word} {last}" if first else last
+
+
+def _percent(share: float) -> str:
+    """A share that is not all of it is not told as 100 %."""
+    return f"{100 * share:.0f} %" if share < 0.99 else f"{min(np.floor(1000 * share) / 10, 99.9):.1f} %"
 
 
 def headline(report: Report) -> tuple[str, str]:
@@ -185,7 +227,7 @@ def chosen_candidates(report: Report) -> list[Candidate]:
 def summary(report: Report) -> list[str]:
     """A diagnosis in a few lines, for a terminal."""
     line, sentence = verdict_text(report)
-    lines = [line, f"  {sentence}"]
+    lines = [line, f"  {sentence}", *(f"  {told}" for told in standing_lines(report))]
     for candidate in chosen_candidates(report):
         lines += [f"  {candidate.effect}: {told}" for told in parameter_lines(candidate)]
         if candidate.indistinguishable_from:

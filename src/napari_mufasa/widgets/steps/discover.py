@@ -4,6 +4,7 @@ import weakref
 from collections.abc import Callable, Generator
 from dataclasses import replace
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,7 @@ from qtpy.QtWidgets import QWidget
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.report.words import detectable_rows, headline, in_text
+from napari_mufasa.report.words import detectable_rows, headline, in_text, standing_lines
 from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.effects import Suspects
@@ -104,12 +105,14 @@ class DiscoverPanel(Panel):
         self._steps: list[tuple[Report, Places | None]] = []  # what is known at first and after each Add
         self.layers = PlaceLayers(self.viewer)
         self.suspects, self.verdict = Suspects(self.session), Words()
-        self.where, self.unseen = WherePage(self.viewer), QWidget()
+        self.where, self.unseen, self.error = WherePage(self.viewer), QWidget(), QWidget()
         add, take_out, other = (
             partial(self.guarded, action) for action in (self.add_selected, self.take_out_selected, self.check_other)
         )
         self.what, self.check = WhatPage(add, take_out, self.undo), CheckPage(self.viewer, self.check_halves, other)
         self.history = PlotCanvas(self.viewer, "The error after each step appears here.", 260)
+        self.standing = Words()
+        column(self.error, self.history, self.standing, shares=(1, 0))
         wanted = "Smallest strength of each effect that this data would have shown"
         self.detectable = RowTable(["Effect", "Would show from"], wanted)
         column(self.unseen, Words(ADEQUATE), self.detectable, shares=(0, 1))
@@ -119,7 +122,7 @@ class DiscoverPanel(Panel):
         pages = {
             "Where it fails": self.where,
             "What is missing": self.what,
-            "Error": self.history,
+            "Error": self.error,
             "Does it hold?": self.check,
         }
         self.tabs = Tabs(430, pages | {"What would show": self.unseen})
@@ -245,6 +248,7 @@ class DiscoverPanel(Panel):
         line, sentence = headline(report)
         self.verdict.say(f"<b>{line}</b><br>{sentence}")
         self.verdict.setToolTip("\n".join(report.notes))
+        self.standing.say("<br>".join(escape(line) for line in standing_lines(report)))
         self.where.show_report(report)
         self.what.show_report(report)
         self.detectable.fill(detectable_rows(report))
