@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import napari_mufasa as nm
-from napari_mufasa.discover import joint
+from napari_mufasa.discover import joint, rules
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import build
 from napari_mufasa.discover.nuisance import nuisances
@@ -264,7 +264,7 @@ def test_no_more_is_spent_than_may_be():
     stand = stand_of(bench, bench.start.with_values({"optics.brightness_correction": 3.6}), kinds=[])
     before = bench.done
     assert joint.descended(stand.library, stand.state, bench.start, stand.x, 6).model is bench.start
-    assert bench.done - before == joint.TRIALS  # it looked where it stood
+    assert bench.done - before == rules.TRIALS  # it looked where it stood
 
 
 class ReadingBench(ToyBench):

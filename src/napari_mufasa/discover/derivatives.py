@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.nuisance import Nuisance
+from napari_mufasa.discover.rules import SLOPE_SEEDS
 from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
 Rows = Callable[[Sequence[tuple[Model, int]]], Array]
-SLOPE_SEEDS = 3
 PARAMETER_STEP = 0.2  # of effects in the model, in log units or quarters of the range
 
 

@@ -16,9 +16,9 @@ from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
-from napari_mufasa.discover.rules import NEAR
+from napari_mufasa.discover.rules import FINALISTS, NEAR, REMOVALS, START
 from napari_mufasa.discover.standing import share_of
-from napari_mufasa.discover.start import SIMULATIONS, begun, started
+from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import Lead, State
 from napari_mufasa.discover.steps import Steps, each_form
 from napari_mufasa.discover.trace_bench import TraceBench, candidate_kinds
@@ -28,8 +28,6 @@ from napari_mufasa.model.model import Model
 
 if TYPE_CHECKING:
     from distributed import Client
-
-FINALISTS = 5  # leads that are started when a user asks what is missing
 
 
 class Investigation(Steps):
@@ -71,7 +69,7 @@ class Investigation(Steps):
     def rank(self, tries: int = FINALISTS) -> list[Candidate]:
         """What is missing: the leads, the best of them tried by simulation, best first."""
         stand = self.stand
-        self.bench.plan(tries * SIMULATIONS)
+        self.bench.plan(tries * START)
         tried: dict[str, State] = {}
         for kind, forms in list(stand.leads.items())[:tries]:
             if len(tried) < 2 or forms[0].gain > stand.needed:
@@ -90,7 +88,7 @@ class Investigation(Steps):
         kinds = [w if isinstance(w, str) else w.effect if isinstance(w, Candidate) else w.kind for w in what]
         for kind in kinds:
             self._addable(kind)
-        self.bench.plan(len(kinds) * SIMULATIONS + self._settling(len(kinds)))
+        self.bench.plan(len(kinds) * START + self._settling(len(kinds)))
         state = stand.state
         for kind, one in zip(kinds, what, strict=True):
             if isinstance(one, Effect):
@@ -107,7 +105,7 @@ class Investigation(Steps):
         for kind in kinds:
             if kind not in self.stand.added:
                 raise MufasaError(f"{kind} was not added: {', '.join(self.stand.added) or 'nothing'} can be taken out")
-        self.bench.plan(joint.REMOVALS + self._settling(0))
+        self.bench.plan(REMOVALS + self._settling(0))
         self._settle(joint.removed(self.stand.library, *kinds))
 
     def report(self, verdict: Verdict | None = None) -> Report:

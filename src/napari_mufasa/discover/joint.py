@@ -16,20 +16,23 @@ from numpy.typing import NDArray
 from napari_mufasa.discover import library as neighbourhood
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.coordinates import is_next_to_none
-from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
+from napari_mufasa.discover.derivatives import derivatives, free_steps
 from napari_mufasa.discover.library import Library
-from napari_mufasa.discover.rules import DESCENTS
+from napari_mufasa.discover.rules import (
+    DEEPER,
+    DESCENTS,
+    NEARER,
+    REMOVALS,
+    SHARES,
+    SLOPE_SEEDS,
+    STEP_SIMULATIONS,
+    TRIALS,
+    UNSEEN,
+)
 from napari_mufasa.discover.state import State
 from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
-TRIALS = 4  # simulations that tell which of two models is nearer
-UNSEEN = range(TRIALS, 4 * TRIALS)  # those that confirm where a way downhill has led
-SHARES = (1.0, 0.5, 0.25)  # how much of a step downhill is tried
-STEP = TRIALS * len(SHARES)  # simulations of a step at most
-NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
-DEEPER = 0.9  # of the misfit: a place further downhill is worth the simulations of its neighbourhood
-REMOVALS = 6  # simulations of a model without one of its effects
 
 
 def settled(
@@ -82,7 +85,7 @@ def _around(free: Sequence[str], model: Model, kinds: Sequence[str]) -> int:
 
 def settling_simulations(library: Library, kinds: Sequence[str], n_free: int, model: Model) -> int:
     """How many simulations `settled` makes at most, `kinds` lacking."""
-    step = SLOPE_SEEDS * n_free + 2 * STEP
+    step = SLOPE_SEEDS * n_free + 2 * STEP_SIMULATIONS
     again = library.bench.matching_simulations + 2 * TRIALS
     return again + TRIALS + DESCENTS * step + neighbourhood.expected_simulations(kinds, n_free, model)
 
@@ -103,9 +106,9 @@ def descended(library: Library, state: State, model: Model, x: Array, most: int)
     most += library.bench.done
     here = _seen(library, state, model)
     for _ in range(DESCENTS):
-        while library.bench.done + STEP <= most and (there := _closer(library, here, x)) is not None:
+        while library.bench.done + STEP_SIMULATIONS <= most and (there := _closer(library, here, x)) is not None:
             here = there
-        if library.bench.done + SLOPE_SEEDS * len(here.free) + STEP > most:
+        if library.bench.done + SLOPE_SEEDS * len(here.free) + STEP_SIMULATIONS > most:
             break
         steps = free_steps(here.model, here.values, here.free)
         here = replace(here, slopes=derivatives(library.simulated, here.model_at, steps, here.check))

@@ -17,22 +17,18 @@ from numpy.typing import NDArray
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.coordinates import Coordinate, changed, model_at
-from napari_mufasa.discover.derivatives import SLOPE_SEEDS, derivatives, free_steps
+from napari_mufasa.discover.derivatives import derivatives, free_steps
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.discover.nuisance import Nuisance
+from napari_mufasa.discover.rules import BASE_SIMULATIONS, CHECK_SIMULATIONS, RAYS, RENEWED, SLOPE_SEEDS, UNREAD
 from napari_mufasa.discover.state import HALVES, Ray, State, two_sided
 from napari_mufasa.effects import Effect, catalogue
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import PARTS
 
 Array = NDArray[np.float64]
-BASE_SIMULATIONS = 60
-CHECK_SIMULATIONS = 12  # fresh seeds that no mean, spread or correlation has seen
 CHECK_SEED = 5_000
 PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of the range
-RENEWED = 10  # effects whose settings are simulated anew at a further stand: those that promise most by the last ones
-UNREAD = 6  # simulations of the model with what one half of the field shows directly
-RAYS = 4  # settings of each effect, plus one for each shape parameter
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy import stats
 
 from napari_mufasa.discover import joint, nuisance
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
-from napari_mufasa.discover.rules import ALARM, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF
+from napari_mufasa.discover.rules import ALARM, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.state import SCALES, State, scaled
@@ -19,7 +19,6 @@ from napari_mufasa.model.model import Model
 
 CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
 NOT_HERE = "not measurable here"  # where an observable is that the measurement or some simulation does not show
-UNSURE = 0.95  # a name that is less sure than this is one of several
 
 
 def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:

@@ -12,10 +12,13 @@ ALARM = 0.02  # when nothing is missing, some effect stands out from chance so o
 MISFIT_ALARM = 0.01  # … and the misfit as a whole
 FURTHER = 0.01  # each effect beside another must be worth more than what chance gives the best one so often
 STILL_OFF = 0.001  # … and what an explanation leaves is called unexplained beyond this chance
+SURE = 1e-3  # evidence that chance gives so rarely is enough where the error is at its floor and cannot fall
 CONTENT = 0.05  # a fit that leaves a misfit which chance exceeds more often than this is left as it is
 
 # What is worth explaining -----------------------------------------------------------------------------------
+UNSURE = 0.95  # a name that is less sure than this is one of several
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
+NOT_RISEN = 1.03  # how far an error at its floor may rise with an effect that is sure
 FAR_OFF = 2.5  # above so many floors what a model promises of its neighbourhood is not to be had
 FAR = 1.35  # an error above so many floors is not explained, however far it fell …
 EXPLAINED = 0.6  # … nor is one of which less than this share went away
@@ -32,9 +35,27 @@ SHAPE = 0.015  # of the evidence of all others: an effect that moves what they m
 # what they leave is also the error of their form
 FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less are taken out together
 CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an effect is worth so much, is worth it
+FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried
+NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
+DEEPER = 0.9  # of the misfit: a place further downhill is worth the simulations of its neighbourhood
 
 # The budget of simulations ----------------------------------------------------------------------------------
 BUDGET = 4_000  # simulations of a movie of ordinary size …
 BUDGET_VALUES = 30_000_000_000  # … and pixels times frames of all simulations together, whichever is less
 AT_ONCE = 4  # effects taken up together
 DESCENTS = 4  # steps downhill, each with derivatives of its own
+BASE_SIMULATIONS = 60  # of a model: its mean, spread and correlations
+CHECK_SIMULATIONS = 12  # of fresh seeds, which none of these has seen
+UNREAD = 6  # with what one half of the field shows directly
+RAYS = 4  # settings of each effect, and one for each of its shape parameters
+RENEWED = 10  # effects whose settings are simulated anew at a further stand: those that promise most by the last ones
+SLOPE_SEEDS = 3  # pairs for each derivative
+START = 40  # for an effect that is started, about …
+AROUND = 9  # … these of them around where it starts
+FINALISTS = 5  # leads that are started when a user asks what is missing
+TRIALS = 4  # that tell which of two models is nearer
+UNSEEN = range(TRIALS, 4 * TRIALS)  # those that confirm where a way downhill has led
+SHARES = (1.0, 0.5, 0.25)  # how much of a step downhill is tried
+STEP_SIMULATIONS = TRIALS * len(SHARES)  # of a step at most
+REMOVALS = 6  # of a model without one of its effects
+FINITE = 0.03  # relative uncertainty of a parameter that this finite number of simulations leaves

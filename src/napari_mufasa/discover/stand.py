@@ -19,21 +19,22 @@ from napari_mufasa.discover.rules import (
     AT_ONCE,
     BESIDE,
     CONTENT,
+    FINITE,
     FORM_FIRST,
     FURTHER,
     MISFIT_ALARM,
+    NOT_RISEN,
     RIVAL,
     RIVALS,
     SHAPE,
+    SURE,
 )
 from napari_mufasa.discover.state import Lead, Ray, State
 from napari_mufasa.effects import effect_class
 
 Array = NDArray[np.float64]
 Case = list[Lead]  # one effect's: the leads of its forms, the best first
-SURE, NOT_RISEN = 1e-3, 1.03  # chance level at which an error at its floor need not fall, and how far it may rise
 WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
-FINITE = 0.03  # relative uncertainty of a parameter from the finite number of simulations it is fitted with
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ from napari_mufasa.discover import library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.result import Candidate
-from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES
+from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, START
 from napari_mufasa.discover.stand import Stand
-from napari_mufasa.discover.start import SIMULATIONS
 from napari_mufasa.discover.state import State
 from napari_mufasa.model.model import Model
 
@@ -86,7 +85,7 @@ class Standing:
         stand = self.stand
         n_free = len(stand.state.free) + 2 * n_effects
         least = library.expected_simulations(self.kinds, n_free, stand.state.model) + 4 * n_free
-        return self.left > n_effects * SIMULATIONS + least * (2 if n_effects and self.chosen else 1)
+        return self.left > n_effects * START + least * (2 if n_effects and self.chosen else 1)
 
     def candidates(self) -> list[Candidate]:
         """The cases of the effects in the model."""

@@ -15,18 +15,16 @@ from numpy.typing import NDArray
 from napari_mufasa.discover.coordinates import Coordinate, changed
 from napari_mufasa.discover.derivatives import trusted
 from napari_mufasa.discover.library import Library
-from napari_mufasa.discover.rules import PLAIN
+from napari_mufasa.discover.rules import AROUND, FORM_WORTH, PLAIN
 from napari_mufasa.discover.state import Lead, Ray, State, scaled
 from napari_mufasa.effects import Effect
 
 Array = NDArray[np.float64]
 LADDER = 2.2  # factor between the strengths tried first
 SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
-AROUND, WIDTH = 9, 0.45  # simulations around a start, and how far (log units or quarters of the range)
+WIDTH = 0.45  # how far simulations around a start reach (log units or quarters of the range)
 LOOSE = 2.5  # prior width of an effect's parameters in spreads of the simulations around it
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
-FORM_WORTH = 0.2  # of the best form's evidence: another form is tried
-SIMULATIONS = 40  # that a start makes, about
 
 
 def started(library: Library, state: State, leads: Sequence[Lead], x: Array) -> State:

@@ -10,10 +10,10 @@ import numpy as np
 
 from napari_mufasa.discover import joint, library
 from napari_mufasa.discover.coordinates import changed
-from napari_mufasa.discover.rules import CLEAR, FAR, FAR_LESS, NEAR, RIVAL, RIVALS
+from napari_mufasa.discover.rules import CLEAR, FAR, FAR_LESS, NEAR, REMOVALS, RIVAL, RIVALS, START
 from napari_mufasa.discover.stand import Case, Stand, Worth
 from napari_mufasa.discover.standing import Standing
-from napari_mufasa.discover.start import SIMULATIONS, begun, started
+from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import State
 from napari_mufasa.effects import Effect
 from napari_mufasa.errors import MufasaError
@@ -39,7 +39,7 @@ class Steps(Standing):
         Returns the kinds that stay out: what comes to next to none, and where all together explain nothing (the step
         is taken back) all but the first, or an only one."""
         stand, state = self.stand, self.stand.state
-        self.bench.plan(sum(len(group) for group in groups) * SIMULATIONS + self._settling(len(groups)))
+        self.bench.plan(sum(len(group) for group in groups) * START + self._settling(len(groups)))
         for group in groups:
             tries = [started(stand.library, state, case, stand.x) for case in group if _kind(case) not in _kinds(state)]
             state = min(tries, key=lambda tried: tried.surprise(stand.x), default=state)
@@ -146,7 +146,7 @@ class Steps(Standing):
         """What effects are worth by a whole fit without them, and the stand without them where that is too little. Its
         neighbourhood is simulated where a few simulations leave that in doubt."""
         stand, x = self.stand, self.stand.x
-        self.bench.plan(joint.REMOVALS + self._settling(0))
+        self.bench.plan(REMOVALS + self._settling(0))
         there = joint.brought(stand.library, joint.removed(stand.library, *kinds), x, self.kinds, self.left)
         worth = Worth(there.misfit(x) - stand.misfit, there.held_out_error(x), needed)
         if worth.evidence > CLEAR * needed and stand.is_worth(worth):
