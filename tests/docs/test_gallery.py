@@ -44,6 +44,15 @@ def test_a_script_draws_its_pictures(name, tmp_path, monkeypatch):
             assert abs(kept.width / kept.height - drawn.width / drawn.height) < 0.2  # of the same make
 
 
+def test_every_picture_is_made_by_a_command():
+    scenes = set(re.findall(r'yield "([\w-]+)"', (ROOT / "tools" / "screenshots.py").read_text()))
+    drawn = {f"effects/{name}" for name in SCRIPTS["fingerprints"]}
+    drawn |= {f"gallery/{name}" for script, names in SCRIPTS.items() if script != "fingerprints" for name in names}
+    made = drawn | {f"{scene}-{theme}.png" for scene in scenes for theme in ("dark", "light")}
+    images = ROOT / "docs" / "images"
+    assert {path.relative_to(images).as_posix() for path in images.rglob("*.*")} == made
+
+
 def test_no_picture_is_large_or_shown_nowhere():
     pages = "".join(page.read_text(encoding="utf-8") for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
     for path in (ROOT / "docs" / "images").rglob("*.png"):

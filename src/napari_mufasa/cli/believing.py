@@ -212,7 +212,7 @@ def _measured(found: Value) -> str:
     if not math.isfinite(found.value):
         return "unknown"
     low, high = found.interval
-    return f"{found.value:.4g} [{low:.4g}, {high:.4g}]" if math.isfinite(low) else f"{found.value:.4g} (given)"
+    return f"{found.value:.4g} [{low:.4g}, {high:.4g}]" if math.isfinite(low) else f"{found.value:.4g} (not measured)"
 
 
 VERBS = (calibrate, propose, infer, info)

@@ -85,7 +85,7 @@ def proposal_lines(found: Proposal) -> str:
     rows = []
     for name, value in found.values.items():
         low, high = value.interval
-        known = f"{value.value:.4g}" + (f" ({low:.3g} … {high:.3g})" if np.isfinite(low) else " (given)")
+        known = f"{value.value:.4g}" + (f" ({low:.3g} … {high:.3g})" if np.isfinite(low) else " (not measured)")
         rows.append(f"<tr><td>{told(name.split('.')[-1])}&nbsp;&nbsp;</td><td>{known}</td></tr>")
     unknown = "".join(f"<br>{label_of(name.split('.')[-1])}: {words}" for name, words in found.unknown.items())
     notes = "".join(f"<br>{note}" for note in found.notes)
