@@ -33,7 +33,7 @@ format: setup ## let ruff format and fix what it can
 	$(PY) -m ruff format .
 	$(PY) -m ruff check --fix .
 
-blind: setup ## the whole hidden-effect trial (hours); writes docs/blind_trial.md; ARGS=--quick for a slice
+blind: setup ## the hidden-effect trial (hours); ARGS="--table build/trial.jsonl" for its page, ARGS=--quick for a slice
 	$(PY) -m tests.blind.trial $(ARGS)
 
 validate: setup ## the physics against known answers

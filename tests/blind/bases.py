@@ -39,8 +39,48 @@ _EMCCD: Believed = {
 }
 
 
+# Further bases: what differs from the one they start from. Fields are square. Bleaching as in ``emccd_bleach``.
+_FURTHER: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
+    "cmos_bleach": ("cmos", {"fluorophore": {"cycles_before_bleaching": 2e5}}),
+    "ccd_bleach": ("ccd", {"fluorophore": {"cycles_before_bleaching": 8e5}}),
+    "emccd_small": ("emccd", {"acquisition": {"shape_px": [64, 64]}}),
+    "emccd_dim": (
+        "emccd",
+        {
+            "acquisition": {"n_frames": 200, "shape_px": [128, 128]},
+            "excitation": {"power_density_w_per_cm2": 15},
+            "optics": {"background_photons_per_px": 5},
+        },
+    ),
+    "emccd_wide": ("emccd", {"acquisition": {"n_frames": 90, "shape_px": [256, 256]}}),
+    "cmos_bright": (
+        "cmos",
+        {
+            "acquisition": {"shape_px": [80, 80]},
+            "excitation": {"power_density_w_per_cm2": 120},
+            "optics": {"background_photons_per_px": 25},
+        },
+    ),
+    "cmos_dim": (
+        "cmos",
+        {
+            "acquisition": {"n_frames": 250, "shape_px": [112, 112]},
+            "excitation": {"power_density_w_per_cm2": 20},
+            "optics": {"background_photons_per_px": 6},
+        },
+    ),
+    "ccd_wide": ("ccd", {"acquisition": {"n_frames": 150, "frame_length_s": 0.04, "shape_px": [160, 160]}}),
+}
+
+
 def base_model(name: str = "emccd") -> Believed:
-    """Return a fresh believed model: ``emccd``, ``emccd_bleach``, ``emccd_short``, ``cmos`` or ``ccd``."""
+    """Return a fresh believed model, one of ``BASE_NAMES``."""
+    if name in _FURTHER:
+        start, changes = _FURTHER[name]
+        model = base_model(start)
+        for part, values in changes.items():
+            model[part].update(copy.deepcopy(values))
+        return model
     model = copy.deepcopy(_EMCCD)
     if name == "emccd":
         return model
@@ -76,10 +116,15 @@ def base_model(name: str = "emccd") -> Believed:
             "adc_max": 65535,
         }
         return model
-    raise ValueError(f"base model {name!r} unknown; choose emccd, emccd_bleach, emccd_short, cmos or ccd")
+    raise ValueError(f"base model {name!r} unknown; choose one of {', '.join(BASE_NAMES)}")
 
 
-BASE_NAMES = ("emccd", "emccd_bleach", "emccd_short", "cmos", "ccd")
+# Molecules that a movie of each base has in the trial.
+MOLECULES = {
+    "emccd": 50, "emccd_bleach": 50, "emccd_short": 25, "cmos": 50, "ccd": 50, "cmos_bleach": 50, "ccd_bleach": 50,
+    "emccd_small": 20, "emccd_dim": 90, "emccd_wide": 400, "cmos_bright": 35, "cmos_dim": 60, "ccd_wide": 140,
+}  # fmt: skip
+BASE_NAMES = tuple(MOLECULES)
 
 
 def excitation_rate_per_s(model: Believed) -> float:

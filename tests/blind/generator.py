@@ -150,13 +150,15 @@ def make(
     nuisance: float = 0.12,
     n_molecules: int = 50,
     form: int | None = None,
+    beside: Sequence[tuple[str, float]] = (),
 ) -> BlindMovie:
     """Record a movie in a world that has, beyond the believed model, the given effects.
 
     ``effects`` are (identifier, strength in [0, 1]); 0.15 is barely visible, 0.5 clearly. ``form`` chooses
     the functional form (index into ``forms(effect)``, same for all effects); None draws it from the seed.
     ``nuisance`` is the largest relative error of brightness, background and PSF width in the belief
-    (0.12 also lets the baseline be 4 ADU off).
+    (0.12 also lets the baseline be 4 ADU off). ``beside``: disturbances off the catalogue, as for
+    ``off_catalogue``, and their strengths.
     """
     world, truth = _start(believed, seed, nuisance, n_molecules)
     for kind, strength in effects:
@@ -180,7 +182,18 @@ def make(
                 "parameters": parameters,
             }
         )
+    for kind, strength in beside:
+        _disturb(world, truth, kind, strength, seed)
     return _finish(world, truth, believed, seed)
+
+
+def _disturb(world: World, truth: dict[str, Any], kind: str, strength: float, seed: int) -> None:
+    if kind not in OFF_CATALOGUE:
+        raise ValueError(f"disturbance {kind!r} unknown; choose one of {', '.join(OFF_CATALOGUE)}")
+    if not 0.0 <= strength <= 1.0:
+        raise ValueError(f"strength of {kind} is {strength}; it must lie in [0, 1]")
+    parameters = _plain(OFF_CATALOGUE[kind](world, strength, _stream(seed, kind)))
+    truth["off_catalogue"].append({"kind": kind, "strength": strength, "parameters": parameters})
 
 
 def off_catalogue(
@@ -193,14 +206,7 @@ def off_catalogue(
     n_molecules: int = 50,
 ) -> BlindMovie:
     """Record a movie with a disturbance that no catalogue effect describes."""
-    if kind not in OFF_CATALOGUE:
-        raise ValueError(f"disturbance {kind!r} unknown; choose one of {', '.join(OFF_CATALOGUE)}")
-    if not 0.0 <= strength <= 1.0:
-        raise ValueError(f"strength of {kind} is {strength}; it must lie in [0, 1]")
-    world, truth = _start(believed, seed, nuisance, n_molecules)
-    parameters = _plain(OFF_CATALOGUE[kind](world, strength, _stream(seed, kind)))
-    truth["off_catalogue"].append({"kind": kind, "strength": strength, "parameters": parameters})
-    return _finish(world, truth, believed, seed)
+    return make(believed, beside=[(kind, strength)], seed=seed, nuisance=nuisance, n_molecules=n_molecules)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -23,7 +23,8 @@ from .bases import excitation_rate_per_s, sigma_px
 from .world import SUBSTEPS, World, build
 
 HERE = Path(__file__).parent
-GENERATOR_FILES = sorted(p for p in HERE.glob("*.py") if not p.name.startswith("test_") and p.name != "trial.py")
+TRIAL = {"trial.py", "running.py"}
+GENERATOR_FILES = sorted(p for p in HERE.glob("*.py") if not p.name.startswith("test_") and p.name not in TRIAL)
 ALL_FORMS = [(kind, i) for kind in g.EFFECTS for i in range(len(g.forms(kind)))]
 GAIN_ADU = 25.0  # 300 e per electron over 12 e per ADU
 
@@ -600,6 +601,34 @@ def test_off_catalogue_disturbances_do_what_they_say() -> None:
     repeated = off("duplicated_frames").movie
     same = (np.diff(repeated.astype(int), axis=0) == 0).all(axis=(1, 2))
     assert 1 <= same.sum() <= 35  # binomial(119, 0.12)
+
+
+def test_a_disturbance_beside_effects_is_the_one_that_it_is_alone() -> None:
+    model = g.base_model("emccd_short")
+    alone = g.make(model, effects=[("row_noise", 0.5)], seed=3)
+    both = g.make(model, effects=[("row_noise", 0.5)], beside=[("duplicated_frames", 0.5)], seed=3)
+    only = g.off_catalogue(model, "duplicated_frames", 3)
+    assert both.truth["effects"] == alone.truth["effects"]
+    assert both.truth["off_catalogue"] == only.truth["off_catalogue"] != []
+    kept = (both.movie == alone.movie).all(axis=(1, 2))
+    repeats = (np.diff(only.movie.astype(int), axis=0) == 0).all(axis=(1, 2))
+    np.testing.assert_array_equal(kept[1:], ~repeats)  # the others are repeats of the frame before
+    assert kept[0] and repeats.any()
+
+
+def test_further_bases_have_their_light_and_their_bleaching() -> None:
+    def share_left(name: str) -> float:
+        model = g.base_model(name)
+        movie_s = model["acquisition"]["n_frames"] * model["acquisition"]["frame_length_s"]
+        bleach = excitation_rate_per_s(model) / model["fluorophore"]["cycles_before_bleaching"]
+        return float(np.exp(-bleach * movie_s))
+
+    assert share_left("emccd_bleach") == share_left("cmos_bleach") == pytest.approx(share_left("ccd_bleach"))
+    assert {g.base_model(name)["camera"]["type"] for name in g.BASE_NAMES} == {"EMCCD", "CCD", "CMOS"}
+    sides = [g.base_model(name)["acquisition"]["shape_px"][0] for name in g.BASE_NAMES]
+    assert (min(sides), max(sides)) == (64, 256)
+    g.base_model("cmos_dim")["camera"]["em_gain"] = 3
+    assert "em_gain" not in g.base_model("cmos_dim")["camera"]
 
 
 def test_off_catalogue_motion_and_levels() -> None:
