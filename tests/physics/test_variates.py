@@ -134,3 +134,18 @@ def test_a_row_of_counts_is_the_same_as_one_by_one():
     means = np.random.default_rng(0).uniform(0, 29.9, 20_000)
     row, single = row_and_single(means, KEY)
     assert np.array_equal(row, single)
+
+
+def test_bright_counts_are_the_same_side_by_side_as_one_by_one():
+    means = np.random.default_rng(0).uniform(30, 400, 20_000)
+    means[::50] = 1e5
+    state = np.array([stream(KEY, 3, x) for x in range(means.size)], np.uint64)
+    together, u, v = np.empty(means.size), np.empty(means.size), np.empty(means.size)
+    variates.poissons_by_rejection(means, state, u, v, together)
+    single = [poisson(mean, np.uint64(s))[0] for mean, s in zip(means, state, strict=True)]
+    np.testing.assert_array_equal(together, single)
+
+
+def test_the_uniforms_at_either_end_lie_inside_the_interval():
+    ends = [variates.unit(np.uint64(bits)) for bits in (0, 2**64 - 1, 5 << 12)]
+    assert ends == [2.0**-53, 1 - 2.0**-53, 5.5 * 2.0**-52]

@@ -27,7 +27,7 @@ _SALT = np.uint64(0xD1B54A32D192ED03)
 _INVERSE = np.concatenate(([0.0], 1.0 / np.arange(1, 201)))  # a division per step would double the cost
 _LOG_FACTORIAL = np.array([math.lgamma(k + 1.0) for k in range(2048)])
 INVERTED = 30.0  # Poisson means up to here are drawn by inversion
-_TO_UNIT = 1.0 / 4503599627370496.0  # 2⁻⁵²: the largest uniform is below 1
+_ONE_BITS, _BELOW_ONE = np.uint64(0x3FF0000000000000), 1.0 - 2.0**-53  # the first: 1 as bits
 _ONE, _ROOT_HALF = np.float32(1.0), np.int32(0x3F3504F3)  # the second: √½ as bits
 _PER_REACH = np.float32(2.0 / 4.709640090068079)
 _COEFFICIENTS = tuple(np.float32(c) for c in (
@@ -50,10 +50,16 @@ def stream(key, i, j):  # type: ignore[no-untyped-def]
 
 
 @jit
+def unit(bits):  # type: ignore[no-untyped-def]
+    """(n + ½)/2⁵² of the first 52 bits n of uint64: in the open interval (0, 1), exact, and without a conversion."""
+    return np.uint64((bits >> np.uint64(12)) | _ONE_BITS).view(np.float64) - _BELOW_ONE
+
+
+@jit
 def uniform(state):  # type: ignore[no-untyped-def]
     """Uniform in the open interval (0, 1)."""
     state = state + _GOLDEN
-    return (np.float64(mix(state) >> np.uint64(12)) + 0.5) * _TO_UNIT, state
+    return unit(mix(state)), state
 
 
 @jit
@@ -176,6 +182,26 @@ def poisson_by_rejection(mean, shape, state):  # type: ignore[no-untyped-def]
 
 
 @jit
+def poissons_by_rejection(mean, state, u, v, k):  # type: ignore[no-untyped-def]
+    """`poisson_by_rejection` of each mean (n,) from its state (n,), into k (n,) float64; u and v (n,) are scratch.
+
+    Most are taken by the squeeze, which loops without branches tell; the others are drawn one by one.
+    """
+    for x in range(mean.size):
+        u[x] = unit(mix(state[x] + _GOLDEN))
+        v[x] = unit(mix(state[x] + (_GOLDEN + _GOLDEN)))
+    for x in range(mean.size):
+        a, b, squeeze = rejection_of(mean[x])
+        centred = u[x] - 0.5
+        us = 0.5 - abs(centred)
+        likely = np.floor((2.0 * a / us + b) * centred + mean[x] + 0.43)
+        k[x] = likely if us >= 0.07 and v[x] <= squeeze else -1.0
+    for x in range(mean.size):
+        if k[x] < 0.0:
+            k[x], _ = poisson_by_rejection(mean[x], rejection_of(mean[x]), state[x])
+
+
+@jit
 def gamma(shape, state):  # type: ignore[no-untyped-def]
     """Gamma of unit scale (Marsaglia and Tsang 2000); shape 0 gives 0."""
     if shape <= 0.0:
@@ -205,8 +231,7 @@ def uniforms(key, i, first, draw, out):  # type: ignore[no-untyped-def]
     """Draw number `draw` (from 1) of the streams (i, first), (i, first + 1) …, into out (n,)."""
     base = stream(key, i, first) + np.uint64(draw) * _GOLDEN
     for x in range(out.size):
-        bits = mix(base + np.uint64(x) * _SALT)
-        out[x] = (np.float64(np.int64(bits >> np.uint64(12))) + 0.5) * _TO_UNIT
+        out[x] = unit(mix(base + np.uint64(x) * _SALT))
 
 
 @jit

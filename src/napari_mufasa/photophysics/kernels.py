@@ -16,8 +16,7 @@ from napari_mufasa.chance.variates import (
     exponential,
     limit,
     poisson_by_inversion,
-    poisson_by_rejection,
-    rejection_of,
+    poissons_by_rejection,
     skipped,
     stream,
     surely_below,
@@ -38,6 +37,16 @@ def run(  # type: ignore[no-untyped-def]
     n_frames = light.size
     course = np.empty(n_frames)
     draws = 2 if dead_s > 0.0 else 1
+    # Of each state: whether it is left at all, how often in the light that is `known`, and below which uniforms it
+    # outlasts an exposure and a dead time.
+    ends, leaving = np.empty(n_states, np.bool_), np.empty(n_states)
+    in_light, in_dead = np.empty(n_states, np.uint64), np.empty(n_states, np.uint64)
+    known = -1.0
+    for source in range(n_states):
+        total = 0.0
+        for s in range(n_states):
+            total += driven[source, s] + undriven[source, s]
+        ends[source] = total == 0.0 and photon_rate[source] == 0.0
     for m in range(drive.size):
         random = stream(key, first + m, 0)
         u, random = uniform(random)
@@ -53,14 +62,18 @@ def run(  # type: ignore[no-untyped-def]
         f = 0
         while f < n_frames and not absorbed:
             relative = course[f]
-            total = 0.0
-            for s in range(n_states):
-                total += relative * driven[state, s] + undriven[state, s]
-            # 1 − x < e^−x: a uniform below it makes a wait that outlasts the segment. So most frames end.
-            in_light, in_dead = limit(1.0 - total * exposure_s), limit(1.0 - total * dead_s)
+            if relative != known:
+                known = relative
+                for source in range(n_states):
+                    total = 0.0
+                    for s in range(n_states):
+                        total += relative * driven[source, s] + undriven[source, s]
+                    leaving[source] = total
+                    # 1 − x < e^−x: a uniform below it makes a wait that outlasts the segment. So most frames end.
+                    in_light[source], in_dead[source] = limit(1.0 - total * exposure_s), limit(1.0 - total * dead_s)
             calm = f
-            while calm < n_frames and course[calm] == relative and surely_below(random, 1, in_light):
-                if draws == 2 and not surely_below(random, 2, in_dead):
+            while calm < n_frames and course[calm] == relative and surely_below(random, 1, in_light[state]):
+                if draws == 2 and not surely_below(random, 2, in_dead[state]):
                     break
                 random = skipped(random, draws)
                 calm += 1
@@ -74,9 +87,7 @@ def run(  # type: ignore[no-untyped-def]
             for segment in range(2):
                 left = exposure_s if segment == 0 else dead_s
                 while left > 0.0:
-                    total = 0.0
-                    for s in range(n_states):
-                        total += relative * driven[state, s] + undriven[state, s]
+                    total = leaving[state]
                     wait, random = exponential(random)
                     wait = wait / total if total > 0.0 else np.inf
                     stay = min(wait, left)
@@ -100,10 +111,7 @@ def run(  # type: ignore[no-untyped-def]
                         u, random = uniform(random)
                         photons[m, f] += u < chance
                     state = target
-                    leaving = 0.0
-                    for s in range(n_states):
-                        leaving += driven[state, s] + undriven[state, s]
-                    absorbed = leaving == 0.0 and photon_rate[state] == 0.0
+                    absorbed = ends[state]
                     if absorbed:
                         break
                 if absorbed:
@@ -114,18 +122,24 @@ def run(  # type: ignore[no-untyped-def]
 @compiled
 def draw(expected, key, first, photons):  # type: ignore[no-untyped-def]
     """Poisson counts of `expected` (molecule, frame) into `photons`, which are zero; rows are `first`, `first` + 1 …"""
-    mean, none, shape = 0.0, 1.0, (0.0, 0.0, 0.0)
+    n_frames = expected.shape[1]
+    bright, state = np.empty(n_frames, np.int64), np.empty(n_frames, np.uint64)
+    large, u, v, counts = np.empty(n_frames), np.empty(n_frames), np.empty(n_frames), np.empty(n_frames)
+    mean, none = 0.0, 1.0
     for m in range(expected.shape[0]):
-        for f in range(expected.shape[1]):
+        n = 0
+        for f in range(n_frames):
             if expected[m, f] <= 0.0:
                 continue
+            if expected[m, f] >= INVERTED:
+                bright[n], state[n], large[n] = f, stream(key, first + m, f), expected[m, f]
+                n += 1
+                continue
             # A molecule in the light all along has the same mean in every frame.
-            changed, mean = expected[m, f] != mean, expected[m, f]
-            if mean < INVERTED:
-                if changed:
-                    none = math.exp(-mean)
-                photons[m, f], _ = poisson_by_inversion(mean, none, stream(key, first + m, f))
-            else:
-                if changed:
-                    shape = rejection_of(mean)
-                photons[m, f], _ = poisson_by_rejection(mean, shape, stream(key, first + m, f))
+            if expected[m, f] != mean:
+                mean = expected[m, f]
+                none = math.exp(-mean)
+            photons[m, f], _ = poisson_by_inversion(mean, none, stream(key, first + m, f))
+        poissons_by_rejection(large[:n], state[:n], u, v, counts)
+        for x in range(n):
+            photons[m, bright[x]] = np.int64(counts[x])
