@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover import joint, reporting, steps
+from napari_mufasa.discover import automatic, joint, reporting, steps
 from napari_mufasa.discover.automatic import play
 from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.investigation import Investigation
@@ -82,6 +82,18 @@ def test_a_spent_budget_ends_the_search_and_is_told():
     report = play(inquiry, None)
     assert report.simulations["spent"] < 330 + reporting.CURVE_SIMULATIONS * 2 + 120  # the neighbourhood counts whole
     assert len(report.chosen) < 3 and any("budget of 330 simulations" in note for note in report.notes)
+
+
+def test_as_many_leads_are_taken_up_as_the_budget_affords():
+    """Four leads, simulations for two: two are taken up, not none."""
+    taken, leads = [], [[(kind,)] for kind in KINDS]
+    stand = SimpleNamespace(content=False, alarmed=True, far_off=True, promising=lambda but: leads)
+    inquiry = SimpleNamespace(
+        stand=stand, chosen=[], widen=lambda: False, affords=lambda n: n + 2 * len(taken) <= 2,
+        take_up=lambda these: taken.append(len(these)) or set(),
+    )  # fmt: skip
+    automatic._climb(inquiry, None, {})
+    assert taken == [2]
 
 
 def test_effects_are_added_together_taken_out_singly_and_undone(inquiry):

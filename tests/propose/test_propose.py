@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,6 +39,21 @@ def test_a_simulated_movie_is_proposed_as_it_was_made(bright):
     assert nm.predict(found.model).detected_e_per_frame == pytest.approx(found.values["on_level_e"].value, rel=0.02)
     assert nm.mismatches(movie, found.model, dark, written) == []
     assert json.dumps(found.report())
+
+
+def test_a_conversion_that_no_sensor_could_have_counts_as_not_measured(bright, monkeypatch):
+    """Noise that is almost none would mean millions of photoelectrons in every pixel."""
+    from napari_mufasa.propose import proposal
+
+    def too_sure(*given, **more):
+        found = calibrate(*given, **more)
+        few = replace(found.adu_per_photoelectron, value=1e-6)
+        return replace(found, adu_per_photoelectron=few)
+
+    calibrate = proposal.calibrate
+    monkeypatch.setattr(proposal, "calibrate", too_sure)
+    found = nm.propose_model(*bright[1:])
+    assert "photoelectrons in every pixel" in found.unknown["camera"] and found.values == {}
 
 
 def test_what_cannot_be_known_is_said(bright):

@@ -386,3 +386,22 @@ def test_real_movie_gives_at_least_ninety_molecules_of_one_step():
     for i, row in bleached.iterrows():  # dark after bleaching: below half of the on level
         after = found.all_traces[i, int(row.bleaching_frame) :]
         assert after.mean() < 0.5 * row.brightness
+
+
+def test_what_is_held_does_not_grow_with_the_number_of_blocks(monkeypatch):
+    """200 molecules in 200 blocks of one frame: their lit images, half a megabyte a block, are added up as they come."""
+    import tracemalloc
+
+    from napari_mufasa.camera import frames
+
+    monkeypatch.setattr(frames, "BLOCK_BYTES", 1)
+    rng = np.random.default_rng(0)
+    movie = rng.poisson(100.0, (200, 64, 64)).astype(np.uint16)
+    given = {"positions_px": rng.uniform(4, 60, (200, 2)), "psf_sigma_px": 1.3}
+    camera = base().camera
+    extract_traces(movie[:3], camera, **given)  # what is imported and compiled does not count
+    tracemalloc.start()
+    extract_traces(movie, camera, **given)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6

@@ -134,8 +134,8 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
         leads = apart or leads
         if known and not apart and (inquiry.deepen() or inquiry.exchange([cases[0] for cases in leads])):
             dropped = set[str]()
-        elif inquiry.affords(len(leads)):
-            dropped = inquiry.take_up(leads)
+        elif affordable := [leads[:n] for n in range(len(leads), 0, -1) if inquiry.affords(n)]:
+            dropped = inquiry.take_up(affordable[0])
         else:
             break
         if not inquiry.stand.far_off:

@@ -45,7 +45,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         seconds=inquiry.seconds,
         seed=inquiry.seed,
         evidence_needed=stand.null.evidence.at(ALARM),
-        detectable=detectable(inquiry) if verdict == "adequate" else {},
+        detectable=detectable(inquiry),
         w1=inquiry.bench.w1(before, after),
         notes=[*inquiry.bench.notes, *_notes(inquiry, verdict, table, completed)],
         inclusion={kind: round(sure, 4) for kind, (sure, _) in names.items()},
@@ -141,9 +141,9 @@ def _remaining(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def detectable(inquiry: Standing) -> dict[str, float | None]:
-    """The smallest strength of each effect that this data would have shown with 80 % power, by the emulator."""
-    state = inquiry.state
-    threshold = inquiry.stand.null.evidence.at(ALARM)
+    """The smallest strength of each effect not in the model that this data would have shown with 80 % power, by the
+    emulator."""
+    state, threshold = inquiry.state, inquiry.stand.needed
     w, spread = state.whiten[0], state.spread[0]
     slope = np.vstack([w @ (state.slopes[0] / spread[:, None]), np.diag(1 / state.prior)])
     q, _ = np.linalg.qr(slope)

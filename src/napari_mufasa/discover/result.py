@@ -83,7 +83,8 @@ class Report:
         z_before, z_after
     curves : what to draw
     evidence_needed : what the best effect must bring for an alarm (a chance of 2 % when nothing is missing)
-    detectable : for each effect, the smallest strength this data would have shown with 80 % power (or None)
+    detectable : for each effect not in the model, the smallest strength this data would have shown with 80 % power (or
+        None)
     notes : sentences about choices made (crop, subset, what stays off)
     seconds, seed : time by the clock; what chance was drawn from
     w1 : of a table of traces, W1 per frame between it and simulations: before, after, floor, unit; empty for movies

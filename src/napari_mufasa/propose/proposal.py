@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 FWHM = 2 * np.sqrt(2 * np.log(2))
 FEW_ADU = 3.0  # ADU per photoelectron above which a camera multiplies
+FULL_WELL_E = 1e6  # photoelectrons that no pixel holds
 NO_REGISTER = 1.35  # F² below which it does not
 #: What is taken where nothing tells.
 ASSUMED = {"pixel_size_nm": 100.0, "frame_length_s": 0.1, "wavelength_nm": 532.0}
@@ -130,6 +131,11 @@ def _camera(
         if kind is None:
             kind = _kind(found, unknown)
             found = found if kind == "EMCCD" else measured(kind)
+        light_e = abs(float(np.mean(movie[:8])) - found.baseline_adu.value) / max(
+            found.adu_per_photoelectron.value, 1e-12
+        )
+        if light_e > FULL_WELL_E:
+            raise MufasaError(f"its noise would mean {light_e:.1g} photoelectrons in every pixel")
     except MufasaError as error:
         unknown["camera"] = f"could not be measured ({error}); one electron per count is taken"
         unknown["optics.background_photons_per_px"] = "without the camera, counts are no photons"

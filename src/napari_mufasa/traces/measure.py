@@ -52,17 +52,26 @@ def _measured(
     frames: Frames, reads: _InPlace | _Along, sigma: float, report: Callable[[int], None] | None,
     cancel: Callable[[], bool] | None, beside: Callable[[slice], Any] = lambda span: None,
 ) -> Measured:  # fmt: skip
-    blocks = [block for _, block in frames.worked(reads, beside, report=report, cancel=cancel)]
-    lit_images = blocks[0].lit_images
-    for block in blocks[1:]:
-        lit_images.include(block.lit_images)
-    variances = [block.variance for block in blocks if block.variance is not None]
+    traces, backgrounds = [], []
+    lit_images: LitImages | None = None
+    means, variances = [], []
+    for _, block in frames.worked(reads, beside, report=report, cancel=cancel):
+        traces.append(block.traces)
+        backgrounds.append(block.background)
+        # A block's lit images are many times larger than its traces: they are added up as they come.
+        if lit_images is None:
+            lit_images = block.lit_images
+        else:
+            lit_images.include(block.lit_images)
+        means.append(block.mean)
+        variances += [] if block.variance is None else [block.variance]
+    assert lit_images is not None  # a movie has frames
     return Measured(
-        np.concatenate([block.traces for block in blocks], axis=1),
-        np.concatenate([block.background for block in blocks], axis=1),
+        np.concatenate(traces, axis=1),
+        np.concatenate(backgrounds, axis=1),
         lit_images.measure(sigma),
         float(np.sqrt(np.mean(variances))) if variances else float("nan"),
-        float(np.mean([block.mean for block in blocks])),
+        float(np.mean(means)),
     )
 
 

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 KINDS: dict[str, Any] = {
     "widget_type": TypedEdit, "of": tuple[str, ...], "label": "Suspects", "empty": "all that suit the camera",
 }  # fmt: skip
-ADEQUATE = (
-    "The model is adequate. That does not mean that nothing else is there: this is the smallest strength of each "
-    "effect that this data would have shown in four cases of five."
+UNSEEN = (
+    "What is not named may still be there: this is the smallest strength of each effect not in the model that this "
+    "data would have shown in four cases of five."
 )
 
 
@@ -115,7 +115,7 @@ class DiscoverPanel(Panel):
         column(self.error, self.history, self.standing, shares=(1, 0))
         wanted = "Smallest strength of each effect that this data would have shown"
         self.detectable = RowTable(["Effect", "Would show from"], wanted)
-        column(self.unseen, Words(ADEQUATE), self.detectable, shares=(0, 1))
+        column(self.unseen, Words(UNSEEN), self.detectable, shares=(0, 1))
         self.where.chosen.connect(self._show_place)
         self.where.in_image.toggled.connect(self._show_place)
         self.what.ranking.itemSelectionChanged.connect(self._enable)
