@@ -389,7 +389,7 @@ def test_real_movie_gives_at_least_ninety_molecules_of_one_step():
 
 
 def test_what_is_held_does_not_grow_with_the_number_of_blocks(monkeypatch):
-    """200 molecules in 200 blocks of one frame: their lit images, half a megabyte a block, are added up as they come."""
+    """200 molecules in 200 blocks of one frame: their lit images, half a megabyte each, are added up as they come."""
     import tracemalloc
 
     from napari_mufasa.camera import frames
