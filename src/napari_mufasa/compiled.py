@@ -12,10 +12,32 @@ next process. Three kinds, of which only the last two may reorder sums to work o
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from numba import njit
+from numba.core import event
 
 jit: Any = njit(cache=True, nogil=True, error_model="numpy")
 vectorised: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 inlined: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+
+
+@contextlib.contextmanager
+def told_of_compiling(tell: Callable[[], object]) -> Iterator[None]:
+    """`tell` is called when a loop is about to be compiled meanwhile, in the thread that compiles it: that takes
+    seconds, all of them up to a minute, and users shall know what they wait for."""
+    with event.install_listener("numba:compile", _Hears(tell)):
+        yield
+
+
+class _Hears(event.Listener):
+    def __init__(self, tell: Callable[[], object]) -> None:
+        self.tell = tell
+
+    def on_start(self, _: Any) -> None:
+        self.tell()
+
+    def on_end(self, _: Any) -> None:
+        pass

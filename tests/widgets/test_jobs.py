@@ -46,6 +46,23 @@ def test_result_arrives_in_the_interface_thread(bar, qtbot):
     assert bar.bar.value() == 10
 
 
+def test_a_first_compilation_is_told(bar, qtbot):
+    from numba import njit
+
+    def work():
+        njit(lambda x: x + 1)(2)  # anew in every process
+        compiled.set()
+        assert go_on.wait(10)
+
+    compiled, go_on = threading.Event(), threading.Event()
+    with qtbot.waitSignal(bar.finished, timeout=20_000):
+        bar.start("Working", work, lambda _: None)
+        qtbot.waitUntil(compiled.is_set, timeout=10_000)
+        qtbot.waitUntil(lambda: bar.message.text() == "Working … (compiling, once for this machine)", timeout=5000)
+        go_on.set()
+    assert bar.message.text() == ""
+
+
 @pytest.mark.parametrize("polite", [True, False], ids=["work that looks at cancel", "work that does not"])
 def test_cancel_frees_the_panel_within_a_second(bar, qtbot, polite):
     done, stopped, release = [], threading.Event(), threading.Event()

@@ -86,9 +86,12 @@ def _bar(title: str) -> Iterator[Callable[[int, int], None]]:
         # What a verb prints goes above the bar on a terminal, and where it was sent to when piped.
         redirect_stdout=sys.stdout.isatty(),
     )
+    from napari_mufasa.compiled import told_of_compiling
+
     with bars:
         task = bars.add_task(title, total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total)
+        with told_of_compiling(lambda: bars.update(task, description=f"{title}: compiling, once for this machine")):
+            yield lambda done, total: bars.update(task, description=title, completed=done, total=total)
 
 
 def check_movie_out(path: Path, overwrite: bool) -> None:

@@ -49,16 +49,19 @@ def in_thread(name: str, work: Callable[[], Any], tell: Callable[[Outcome], Any]
     threading.Thread(target=run, daemon=True, name=name).start()
 
 
-def _steps(work: Work, stop: Cancel) -> Generator[tuple[int, int], None, Outcome]:
+def _steps(work: Work, stop: Cancel, compiles: Callable[[], object]) -> Generator[tuple[int, int], None, Outcome]:
     """Run `work` in a thread of its own, yield once per twentieth done, return the outcome.
 
+    `compiles` is called, in whatever thread, when a loop is compiled for the first time on this machine.
     The library reports progress by callbacks, napari listens to a generator. The inner thread also lets Cancel act
     at once: the generator leaves, the work notices at its next look at `stop` and throws its result away.
     """
     news: queue.SimpleQueue[tuple[int, int] | Outcome] = queue.SimpleQueue()
 
     def run() -> Any:
-        with steered(lambda done, total: news.put((done, total)), stop):
+        from napari_mufasa.compiled import told_of_compiling
+
+        with steered(lambda done, total: news.put((done, total)), stop), told_of_compiling(compiles):
             return work()
 
     in_thread("mufasa-work", run, news.put)
@@ -88,6 +91,7 @@ class RunBar(QWidget):
 
     clicked = Signal()
     finished = Signal()
+    _compiles = Signal()
 
     def __init__(self, run_label: str, tooltip: str = "", parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -99,6 +103,8 @@ class RunBar(QWidget):
         buttons = row(self.run_button, self.cancel_button, shares=(1,))
         column(self, buttons, self.bar, self.message).setSpacing(4)
         self.say = self.message.say
+        self._title = ""
+        self._compiles.connect(self._on_compiling)
         self._worker: Any = None
         self._done: Callable[[Any], Any] = lambda value: None
         self._outcome = Outcome()
@@ -118,7 +124,7 @@ class RunBar(QWidget):
 
         box: list[Any] = []
         worker: Any = create_worker(
-            _steps, work, lambda: bool(box) and box[0].abort_requested,
+            _steps, work, lambda: bool(box) and box[0].abort_requested, self._tell_compiling,
             _progress={"total": TWENTIETHS, "desc": title}, _start_thread=False,
         )  # fmt: skip
         box.append(worker)
@@ -128,6 +134,7 @@ class RunBar(QWidget):
         worker.finished.connect(self._on_finished)
         # A closed dock must not leave work behind.
         self.destroyed.connect(worker.quit)
+        self._title = title
         self.say(f"{title} …")
         self._show_running(True)
         worker.start()
@@ -149,6 +156,14 @@ class RunBar(QWidget):
         done, total = news
         self.bar.setRange(0, max(total, 1))
         self.bar.setValue(done)
+
+    def _tell_compiling(self) -> None:
+        with contextlib.suppress(RuntimeError):  # the widget is gone
+            self._compiles.emit()
+
+    def _on_compiling(self) -> None:
+        if self._worker is not None and not self._worker.abort_requested:
+            self.say(f"{self._title} … (compiling, once for this machine)")
 
     def _on_returned(self, outcome: Outcome) -> None:
         self._outcome = outcome
