@@ -288,8 +288,8 @@ def test_a_good_model_with_a_rest_does_not_read_like_a_failure(monkeypatch):
     told = wording.standing_lines(good)
     assert told == [
         "99.4 % of the misfit is explained, to 1.06 times the error that noise alone gives.",
-        "With 1.4 times fewer molecules or frames nobody could tell model and movie apart; "
-        "21 times as it was believed.",
+        "With 1.4 times fewer molecules or frames nobody could tell model and movie apart "
+        "(21 times for the model believed).",
         "One of these, and the data cannot tell which: fast dark-state blinking or long dark state.",
         "Still off: Spot width, 1.29 measured, 1.28 simulated px (+4 sd).",
     ]

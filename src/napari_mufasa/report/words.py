@@ -157,7 +157,7 @@ def standing_lines(report: Report) -> list[str]:
     if report.credibility > 1.05:
         lines.append(
             f"With {report.credibility:.1f} times fewer molecules or frames nobody could tell model and movie apart"
-            + (f"; {report.credibility_before:.0f} times as it was believed." if report.chosen else ".")
+            + (f" ({report.credibility_before:.0f} times for the model believed)." if report.chosen else ".")
         )
     elif report.chosen:
         lines.append("These data cannot tell the completed model and the movie apart.")
