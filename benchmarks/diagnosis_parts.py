@@ -68,7 +68,7 @@ class Parts:
         light = find_and_follow(movie, camera, scale, sigma).light
         rng = np.random.default_rng(0)
         self.runs: dict[str, Callable[[], object]] = {
-            WHOLE: lambda: bench.simulated(model, seed),  # the least of several: dark frames seen before
+            WHOLE: lambda: bench.simulated((model, seed)),  # the least of several: dark frames seen before
             "simulate": lambda: simulate(model, seed=seed),
             "observe": lambda: observe(movie, eyes, view),
             "find and follow": lambda: find_and_follow(movie, camera, scale, sigma),
@@ -90,10 +90,10 @@ def seen() -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
     for base in ("emccd", "cmos", "ccd", "emccd_short"):
         bench = bench_of(base)
         for seed in (1, 2):
-            yield f"{base}, seed {seed}", bench.simulated(bench.start, seed).values
+            yield f"{base}, seed {seed}", bench.simulated((bench.start, seed)).values
         for kind, effect in catalogue().items():
             if base == "emccd":
-                yield kind, bench.simulated(bench.start.with_effects(effect()), 3).values
+                yield kind, bench.simulated((bench.start.with_effects(effect()), 3)).values
 
 
 def serve() -> None:

@@ -94,7 +94,7 @@ def movies(quick: bool) -> Iterator[str]:
 def growth(quick: bool) -> Iterator[str]:
     yield "### Growth"
     yield from header("with", "from … to", "slope of log time")
-    counts = [1000, 3000, 10_000] if quick else [1000, 10_000, 100_000]
+    counts = [1000, 3000, 10_000] if quick else [1000, 10_000, 100_000, 1_000_000]
     for preset in ("PALM", "STORM"):
         times = [processor_s(lambda n=n, p=preset: SimulatedAcquisition(sized(p, n, (2048, 2048), 100), seed=1), 2)
                  for n in counts]  # fmt: skip
