@@ -7,6 +7,7 @@ compiled. Run it with nothing else at work. What is printed is kept in benchmark
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -188,6 +189,7 @@ def main() -> None:
         "# Speed", "",
         "`make bench`: ratios of one run. Times are processor time of one core (but for workers: by the clock), the",
         "least of some repetitions, after everything is compiled. Photons of molecules are with layout and scene.",
+        f"Load of the machine when it began: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores.",
     ]  # fmt: skip
     for part in [options.only] if options.only else PARTS:
         told = memory(options.quick, options.frames) if part == "memory" else PARTS[part](options.quick)
