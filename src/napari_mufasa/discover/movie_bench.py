@@ -68,7 +68,7 @@ class MovieBench(Bench[Observation]):
         client: Client | None = None,
     ) -> None:
         self.measurement = measurement
-        self._shown: dict[str, list[Observation]] = {}
+        self._beyond: dict[str, dict[str, dict[str, Any]]] = {}
         self._widths: dict[str, tuple[float, ...]] = {}
         dark_frames = 0 if measurement.dark is None else len(measurement.dark)
         self._simulated = SimulatedMovies(measurement.model, dark_frames)
@@ -104,10 +104,9 @@ class MovieBench(Bench[Observation]):
     def read_off(self, kind: str, beside: Model | None = None, part: str = "all") -> dict[str, Any]:
         if kind == "converter_codes":
             return {"widths": self._code_widths(part)}
-        measured = self.measured.only(part)
         if kind == "background_as_measured":
-            return background_beyond(measured, [one.only(part) for one in self._shown_by(beside or self.start)])
-        return read_off(kind, measured)
+            return self._background_beyond(beside or self.start)[part]
+        return read_off(kind, self.measured.only(part))
 
     def _code_widths(self, part: str) -> tuple[float, ...]:
         if part not in self._widths:
@@ -116,12 +115,15 @@ class MovieBench(Bench[Observation]):
             self._widths[part] = code_widths([stack[:, there] for stack in stacks])
         return self._widths[part]
 
-    def _shown_by(self, model: Model) -> list[Observation]:
-        """What a few simulations of a model show."""
+    def _background_beyond(self, model: Model) -> dict[str, dict[str, Any]]:
+        """Of each part, what it shows beyond a few simulations of a model: these are not kept."""
         key = model.model_dump_json()
-        if key not in self._shown:
-            self._shown[key] = self.observations([(model, BEYOND_SEED + k) for k in range(BEYOND)])
-        return self._shown[key]
+        if key not in self._beyond:
+            shown = self.observations([(model, BEYOND_SEED + k) for k in range(BEYOND)])
+            self._beyond[key] = {
+                part: background_beyond(self.measured.only(part), [one.only(part) for one in shown]) for part in PARTS
+            }
+        return self._beyond[key]
 
     def curves(self, before: Sequence[Observation], after: Sequence[Observation]) -> list[Curve]:
         return curves.draw(self.measured, before, after, self.start.acquisition.interval_s)
