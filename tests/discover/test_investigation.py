@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover import automatic, joint, reporting, steps
+from napari_mufasa.discover import automatic, joint, reporting, rules, steps
 from napari_mufasa.discover.automatic import play
 from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.investigation import Investigation
@@ -89,7 +89,7 @@ def test_as_many_leads_are_taken_up_as_the_budget_affords():
     taken, leads = [], [[(kind,)] for kind in KINDS]
     stand = SimpleNamespace(content=False, alarmed=True, far_off=True, promising=lambda but: leads)
     inquiry = SimpleNamespace(
-        stand=stand, chosen=[], widen=lambda: False, affords=lambda n: n + 2 * len(taken) <= 2,
+        stand=stand, chosen=[], look=lambda: None, widen=lambda: False, affords=lambda n: n + 2 * len(taken) <= 2,
         take_up=lambda these: taken.append(len(these)) or set(),
     )  # fmt: skip
     automatic._climb(inquiry, None, {})
@@ -134,6 +134,32 @@ def test_uncommon_effects_are_considered_where_the_others_leave_the_model_off_it
     near.examine()
     near.further = ["frame_baseline"]
     assert not near.widen() and near.kinds == KINDS[:1]
+
+
+def test_what_effects_would_do_is_simulated_anew_only_where_the_model_still_looks_for_some(inquiry):
+    inquiry.add("row_noise")
+    added, spent = inquiry.stand, inquiry.bench.done
+    others = {"laser_drift", "background_gradient", "photobleaching"}
+    assert added.library.earlier == others == set(added.library.rays)
+    assert all(added.library.rays[kind] is inquiry.first.library.rays[kind] for kind in others)
+    inquiry.look()
+    new = inquiry.stand.library
+    assert not new.earlier and all(new.rays[kind] is not added.library.rays[kind] for kind in others)
+    assert inquiry.bench.done - spent == sum(len(new.rays[kind]) for kind in others)
+    inquiry.look()
+    assert inquiry.stand.library is new
+    inquiry.undo()
+
+
+def test_a_step_that_the_slopes_do_not_promise_costs_no_simulations(inquiry):
+    """Where the measurement is what the model shows, there is no way downhill; a few simulations see where it is."""
+    library, state = inquiry.first.library, inquiry.first.state
+    spent = inquiry.bench.done
+    there = joint.descended(library, state, state.model, state.mean, 10_000)
+    assert there.model is state.model and inquiry.bench.done - spent == rules.TRIALS
+    spent = inquiry.bench.done
+    joint.descended(library, state, state.model, inquiry.bench.x, 10_000)
+    assert inquiry.bench.done - spent > rules.TRIALS
 
 
 @pytest.mark.parametrize("on_trial", [True, False])
@@ -194,6 +220,9 @@ class Climb:
         return False
 
     deepen = exchange = widen
+
+    def look(self):
+        pass
 
     def affords(self, n):
         return True

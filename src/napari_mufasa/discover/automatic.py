@@ -121,6 +121,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
 def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str, set[str]]) -> None:
     """Take up what promises something, or another form of what may have left that, until nothing does."""
     while not (inquiry.chosen and inquiry.stand.content):
+        inquiry.look()
         stand, known = inquiry.stand, set(inquiry.chosen)
         but = {kind for kind, beside in dismissed.items() if known <= beside}
         leads = stand.promising(but) if stand.alarmed or known else []

@@ -68,6 +68,7 @@ class Investigation(Steps):
 
     def rank(self, tries: int = FINALISTS) -> list[Candidate]:
         """What is missing: the leads, the best of them tried by simulation, best first."""
+        self.look()
         stand = self.stand
         self.bench.plan(tries * START)
         tried: dict[str, State] = {}

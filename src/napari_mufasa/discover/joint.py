@@ -22,6 +22,7 @@ from napari_mufasa.discover.rules import (
     DEEPER,
     DESCENTS,
     NEARER,
+    PROMISED,
     REMOVALS,
     SHARES,
     SLOPE_SEEDS,
@@ -48,7 +49,7 @@ def settled(
         return None
     model = there.model
     stay = [e for e in model.effects if e.kind not in on_trial or not is_next_to_none(e, model)]
-    return seen_from(library, model.model_copy(update={"effects": tuple(stay)}), x, kinds)
+    return seen_from(library, model.model_copy(update={"effects": tuple(stay)}), kinds)
 
 
 def brought(library: Library, state: State, x: Array, kinds: Sequence[str], most: int) -> State:
@@ -67,14 +68,15 @@ def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Lib
     there = descended(library, here, here.model, x, most - _around(here.free, here.model, kinds))
     if there.model is here.model or not _seen(library, there, there.model, UNSEEN).misfit(x) < DEEPER * here.misfit(x):
         return None
-    return seen_from(library, there.model, x, kinds)
+    return seen_from(library, there.model, kinds)
 
 
-def seen_from(library: Library, model: Model, x: Array, kinds: Sequence[str]) -> Library:
-    """The neighbourhood of a model further on, its effects of `kinds` free, rays of those that it lacks."""
+def seen_from(library: Library, model: Model, kinds: Sequence[str]) -> Library:
+    """The neighbourhood of a model further on, its effects of `kinds` free, rays of those that it lacks (from this
+    neighbourhood, where they are known)."""
     added = [effect.kind for effect in model.effects if effect.kind in kinds]
     others = [kind for kind in kinds if kind not in added]
-    return neighbourhood.build(library.bench, model, others, added, library.base.values, library.rays, x)
+    return neighbourhood.build(library.bench, model, others, added, library.base.values, library.rays)
 
 
 def _around(free: Sequence[str], model: Model, kinds: Sequence[str]) -> int:
@@ -102,13 +104,14 @@ def nearer(library: Library, state: State, model: Model, x: Array) -> Model:
 
 def descended(library: Library, state: State, model: Model, x: Array, most: int) -> State:
     """Where the state's model gets, its free values moved downhill towards the measurement x, derivatives taken anew at
-    every step, as far as simulations of where the step leads confirm it; of simulations about `most` are spent."""
+    every step, as far as simulations of where the step leads confirm it, and the slopes promise more; of simulations
+    about `most` are spent."""
     most += library.bench.done
     here = _seen(library, state, model)
     for _ in range(DESCENTS):
         while library.bench.done + STEP_SIMULATIONS <= most and (there := _closer(library, here, x)) is not None:
             here = there
-        if library.bench.done + SLOPE_SEEDS * len(here.free) + STEP_SIMULATIONS > most:
+        if not _promises(here, x) or library.bench.done + SLOPE_SEEDS * len(here.free) + STEP_SIMULATIONS > most:
             break
         steps = free_steps(here.model, here.values, here.free)
         here = replace(here, slopes=derivatives(library.simulated, here.model_at, steps, here.check))
@@ -123,6 +126,8 @@ def _closer(library: Library, here: State, x: Array) -> State | None:
     step has shown (Broyden, Math. Comput. 19, 577, 1965), steps measured in prior widths."""
     moves = here.adjusted(x).moves
     for share in SHARES:
+        if not _promises(here, x, share):
+            break
         step = share * moves
         there = _seen(library, here, here.model_at(step))
         if _unmoved(there, x) < NEARER * _unmoved(here, x):
@@ -130,6 +135,12 @@ def _closer(library: Library, here: State, x: Array) -> State | None:
             surplus = there.mean - here.mean - here.slopes @ step
             return replace(there, slopes=here.slopes + surplus[..., None] * direction)
     return None
+
+
+def _promises(here: State, x: Array, share: float = 1.0) -> bool:
+    """Do the slopes promise that a share of the step downhill is worth its simulations?"""
+    now, best = _unmoved(here, x), here.misfit(x)
+    return now - (now - best) * share * (2 - share) < PROMISED * now
 
 
 def removed(library: Library, *kinds: str) -> State:

@@ -35,7 +35,8 @@ PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of th
 class Library:
     """The base state, its paired simulations (simulation, part, observable) and rays.
 
-    without : what is known of the base state without some of its effects
+    without : what is known of the base state without some of its effects · earlier : kinds of effects whose rays are
+    those beside an earlier base state
     """
 
     bench: Bench[Any]
@@ -43,6 +44,7 @@ class Library:
     rows: Array
     rays: dict[str, list[Ray]]
     without: dict[tuple[str, ...], State] = field(default_factory=dict)
+    earlier: frozenset[str] = frozenset()
 
     def simulated(self, jobs: Sequence[tuple[Model, int]]) -> Array:
         """Rows (job, part, observable) of models beside the base model.
@@ -63,6 +65,12 @@ class Library:
         where they started."""
         model = state.model.with_effects(effect)
         return nuisance.kept(self.bench.matched(model), state.values) if self.bench.is_cheap else model
+
+    def most_promising(self, x: Array) -> list[str]:
+        """Of the effects whose rays are earlier ones, those that by these promise most of the measurement x (part,
+        observable)."""
+        leads = self.base.screen(x, {kind: self.rays[kind] for kind in self.rays if kind in self.earlier})
+        return sorted(leads, key=lambda kind: -leads[kind][0].gain)[:RENEWED]
 
     def _twin(self, number: int) -> Array:
         twin: Array = self.base.check[number - CHECK_SEED] if number >= CHECK_SEED else self.rows[number]
@@ -100,10 +108,9 @@ def build(
     added: Sequence[str] = (),
     values: Sequence[Nuisance] | None = None,
     last: Mapping[str, list[Ray]] | None = None,
-    x: Array | None = None,
 ) -> Library:
-    """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks; where
-    those of the `last` stand are known, only of those that promise most of the measurement x (part, observable).
+    """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks, but for
+    those whose rays at the `last` stand are known: these are taken over (see `renewed`).
 
     Free are its nuisance values (`values`, which know where they started; None: here) and the parameters of the
     effects that were `added`, but for those that are read off the movie; effects of the model believed stay as they
@@ -132,11 +139,9 @@ def build(
     library = Library(bench, base, rows, {})
     base = replace(base, unread=_unread(library, [kind for kind in added if bench.read_off(kind)]))
     library = replace(library, base=base)
-    known = {kind: last[kind] for kind in kinds if kind in last} if last and x is not None else {}
-    promise = {} if x is None else {kind: leads[0].gain for kind, leads in base.screen(x, known).items()}
-    dull = sorted(promise, key=lambda kind: -promise[kind])[RENEWED:]
-    library = replace(library, rays={kind: known[kind] for kind in dull})
-    return with_rays(library, [kind for kind in kinds if kind not in dull])
+    known = {kind: last[kind] for kind in kinds if last and kind in last}
+    library = replace(library, rays=known, earlier=frozenset(known))
+    return with_rays(library, [kind for kind in kinds if kind not in known])
 
 
 def _unread(library: Library, kinds: Sequence[str]) -> Array | float:
@@ -158,6 +163,11 @@ def _unread(library: Library, kinds: Sequence[str]) -> Array | float:
 
 def _without(model: Model, kind: str) -> Model:
     return model.model_copy(update={"effects": tuple(e for e in model.effects if e.kind != kind)})
+
+
+def renewed(library: Library, x: Array) -> Library:
+    """The neighbourhood with the rays simulated anew that promise most of the measurement x (part, observable)."""
+    return with_rays(replace(library, earlier=frozenset()), library.most_promising(x))
 
 
 def with_rays(library: Library, kinds: Sequence[str]) -> Library:

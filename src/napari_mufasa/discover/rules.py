@@ -36,7 +36,8 @@ SHAPE = 0.015  # of the evidence of all others: an effect that moves what they m
 FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less are taken out together
 CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an effect is worth so much, is worth it
 FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried
-NEARER = 0.97  # of the misfit: another step downhill is worth its simulations
+NEARER = 0.97  # of the misfit: simulations of where a step downhill leads confirm it
+PROMISED = 0.98  # of the misfit: a step downhill that by the slopes leaves more of it is not worth its simulations
 DEEPER = 0.9  # of the misfit: a place further downhill is worth the simulations of its neighbourhood
 
 # The budget of simulations ----------------------------------------------------------------------------------

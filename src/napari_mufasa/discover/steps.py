@@ -34,6 +34,13 @@ class Steps(Standing):
         self.stands[-1] = replace(stand, library=library.with_rays(stand.library, new))
         return True
 
+    def look(self) -> None:
+        """See what effects would do from where the model stands now."""
+        stand = self.stand
+        if stand.library.earlier:
+            self.bench.plan(library.ray_simulations(stand.library.most_promising(stand.x), stand.state.model))
+            self.stands[-1] = replace(stand, library=library.renewed(stand.library, stand.x))
+
     def take_up(self, groups: Sequence[Sequence[Case]]) -> set[str]:
         """Fit promising effects into the model together, of each group the one that explains most once it is started.
         Returns the kinds that stay out: what comes to next to none, and where all together explain nothing (the step
@@ -151,7 +158,7 @@ class Steps(Standing):
         worth = Worth(there.misfit(x) - stand.misfit, there.held_out_error(x), needed)
         if worth.evidence > CLEAR * needed and stand.is_worth(worth):
             return worth, None
-        self._stand_at(joint.seen_from(stand.library, there.model, x, self.kinds))
+        self._stand_at(joint.seen_from(stand.library, there.model, self.kinds))
         lesser = self.stands.pop()
         evidence = max(lesser.state.score(x) - stand.state.score(x), 0.0)
         worth = Worth(evidence, lesser.error, needed)
