@@ -139,8 +139,7 @@ def _closer(library: Library, here: State, x: Array) -> State | None:
 
 def _promises(here: State, x: Array, share: float = 1.0) -> bool:
     """Do the slopes promise that a share of the step downhill is worth its simulations?"""
-    now, best = _unmoved(here, x), here.misfit(x)
-    return now - (now - best) * share * (2 - share) < PROMISED * now
+    return (_unmoved(here, x) - here.misfit(x)) * share * (2 - share) > PROMISED
 
 
 def removed(library: Library, *kinds: str) -> State:

@@ -37,7 +37,7 @@ FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less a
 CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an effect is worth so much, is worth it
 FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried
 NEARER = 0.97  # of the misfit: simulations of where a step downhill leads confirm it
-PROMISED = 0.98  # of the misfit: a step downhill that by the slopes leaves more of it is not worth its simulations
+PROMISED = 2.0  # −2 log likelihood: a step downhill of which the slopes promise less is not worth its simulations
 DEEPER = 0.9  # of the misfit: a place further downhill is worth the simulations of its neighbourhood
 
 # The budget of simulations ----------------------------------------------------------------------------------
