@@ -1,7 +1,7 @@
 """Real movies through `diagnose`, from a model without bleaching, triplet or heterogeneity: as they come out.
 
     python -m benchmarks.real_movies            prints what docs/real_movies.md shows
-    python -m benchmarks.real_movies --write    and puts each movie's section there
+    python -m benchmarks.real_movies --write    and puts each movie's section there, its errors into results/
 
 The figures of each report go to build/real_movies.
 
@@ -12,6 +12,7 @@ floor: W1 between halves of the measured molecules.
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from napari_mufasa.traces import extract_traces
 
 ROOT = Path(__file__).parents[1]
 MODELS = ROOT / "docs" / "models"
+ERRORS = ROOT / "benchmarks" / "results" / "real_movies.json"  # what docs/gallery/real.py draws
 NAMES = ("smfret_ixon_emccd.tif", "polymerase_ixon888_emccd.tif", "yeast_slimfield_emccd.tif")
 
 
@@ -70,6 +72,14 @@ def told(name: str, report: nm.Report, distances: list[str], size: str) -> str:
     return "\n".join(rows) + "\n"
 
 
+def keep(name: str, report: nm.Report) -> None:
+    """A movie's errors: of the model believed, the completed one, its floor, and without each effect."""
+    kept = json.loads(ERRORS.read_text()) if ERRORS.exists() else {}
+    without = {c.effect: c.error_without for c in chosen_candidates(report)}
+    kept[name] = {key: report.error[key] for key in ("before", "after", "floor")} | {"without": without}
+    ERRORS.write_text(json.dumps({name: kept[name] for name in NAMES if name in kept}, indent=1) + "\n")
+
+
 def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[str, Any]) -> str:
     """W1 of the extracted traces against one model, in words."""
     try:
@@ -105,6 +115,7 @@ def main() -> None:
         print(section, flush=True)
         if options.write:
             write("real_movies.md", name, section, NAMES)
+            keep(name, report)
 
 
 if __name__ == "__main__":

@@ -44,6 +44,7 @@ def line(lines, what):
 @pytest.fixture
 def page(tmp_path, monkeypatch):
     monkeypatch.setattr(trial, "PAGE", tmp_path / "page.md")
+    monkeypatch.setattr(trial, "ROWS", tmp_path / "kept.jsonl")
     monkeypatch.setattr(running, "run", row)
     return trial.PAGE
 
@@ -231,6 +232,7 @@ def test_the_page_is_made_of_rows_alone_and_tells_how_many_ran(page, tmp_path, m
     monkeypatch.setattr(running, "run", lambda case: pytest.fail("nothing is to be run"))
     trial.main(["--table", str(rows)])
     text = page.read_text()
+    assert running.read(trial.ROWS) == running.read(rows)
     assert f"`python -m tests.blind.trial --table {rows}` wrote this page" in text and "abc123" in text
     assert f"All {sum(PLAN.values())} cases that were planned ran." in text
     assert "| nothing hidden: `adequate` | 200 / 200 | 100.0 % | 98.1 … 100.0 % | ≥ 97 % of ≥ 200 |" in text

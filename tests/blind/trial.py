@@ -4,7 +4,7 @@
     python -m tests.blind.trial --minutes 60 --share 1/2         its second half, for an hour
     python -m tests.blind.trial --groups single:26,null:20       so many cases of these groups
     python -m tests.blind.trial --quick                          short movies, minutes
-    python -m tests.blind.trial --table build/trial.jsonl        docs/blind_trial.md from these rows; nothing is run
+    python -m tests.blind.trial --table build/trial.jsonl        docs/blind_trial.md from these rows, which are kept
 
 The truth stays with this script. Every case appends a row as it ends, so a stopped trial goes on where it was; groups
 are interleaved, so one cut short is balanced. Nothing but `--table` writes the page.
@@ -26,6 +26,7 @@ from .cases import PLAN, key, planned
 from .page import how_many, page, summary
 
 PAGE = running.ROOT / "docs" / "blind_trial.md"
+ROWS = running.ROOT / "benchmarks" / "results" / "blind_trial.jsonl"  # those that the page was written from
 QUICK = {"single": 26, "null": 5}
 
 
@@ -67,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.table is not None:
         if not (rows := once(running.read(*options.table))):
             parser.error(f"{options.table[0]} has no rows: give the files that a trial wrote (--results)")
+        ROWS.write_text("".join(json.dumps(row) + "\n" for row in rows))
         PAGE.write_text(page(rows, shlex.join(["python", "-m", "tests.blind.trial", *arguments])))
         return
     plan = options.groups or (QUICK if options.quick else PLAN)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from napari_mufasa.optics.kernels import below
 from napari_mufasa.optics.psf import image_on_grid, spot_images
 
 SIGMA = np.array([[1.308, 1.308]])  # 308 nm FWHM on 100 nm pixels
@@ -26,6 +27,12 @@ def moments(image):
 def exact_share(position, sigma, n):
     edges = np.arange(n + 1) - 0.5
     return np.diff(ndtr((edges - position) / sigma))
+
+
+def test_the_normal_law_from_a_table_is_that_of_scipy():
+    """Anywhere between its places, and beyond them, where nothing or all is below."""
+    z = np.concatenate([np.linspace(-6.0, 6.0, 20_011), [-1e6, -40.0, 40.0, 1e6]])
+    assert np.abs([below(each) for each in z] - ndtr(z)).max() < 5e-9
 
 
 def test_pixels_hold_the_integral_of_the_gaussian():

@@ -9,11 +9,25 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy import stats
 
 from napari_mufasa.compiled import jit
 from napari_mufasa.optics.gaussian import REACH_SIGMA
 
 UNKNOWN = -1
+FINE = 128  # places of the table in a standard deviation
+END = math.ceil(REACH_SIGMA) + 1
+PLACES = np.arange(-END * FINE, END * FINE + 1) / FINE
+BELOW, DENSITY = stats.norm.cdf(PLACES), stats.norm.pdf(PLACES)
+
+
+@jit
+def below(z):  # type: ignore[no-untyped-def]
+    """The standard normal law below z, by its derivatives at the nearest place of a table: to 4e-9, and several times
+    faster than an error function, of which moving spots need a dozen in every frame."""
+    k = min(max(int(np.rint((z + END) * FINE)), 0), BELOW.size - 1)
+    d = min(max(z, -END), END) - PLACES[k]
+    return BELOW[k] + DENSITY[k] * d * (1.0 - 0.5 * PLACES[k] * d)
 
 
 @jit
@@ -21,10 +35,10 @@ def shares(at, sigma, length, share):  # type: ignore[no-untyped-def]
     """The share of a Gaussian at `at` that each of `length` pixels in a line gets: the first pixel, how many."""
     start = max(0, math.floor(at + 0.5 - REACH_SIGMA * sigma))
     stop = min(length, math.ceil(at + 0.5 + REACH_SIGMA * sigma))
-    before = math.erf((start - 0.5 - at) / (sigma * math.sqrt(2.0)))
+    before = below((start - 0.5 - at) / sigma)
     for i in range(start, stop):
-        after = math.erf((i + 0.5 - at) / (sigma * math.sqrt(2.0)))
-        share[i - start] = 0.5 * (after - before)
+        after = below((i + 0.5 - at) / sigma)
+        share[i - start] = after - before
         before = after
     return start, max(stop - start, 0)
 
