@@ -54,6 +54,7 @@ def test_three_effects_are_found_together_as_near_as_a_fit_that_starts_at_the_tr
     assert set(played.chosen) == MISSING and played.verdict == "missing_effect"
     told = investigation()
     told.add(*HIDDEN)
+    told.deepen()
     assert played.error["after"] < 1.25 * told.stand.error < 0.3 * played.error["before"]
     found = {effect.kind: effect for effect in played.model.effects}
     assert found["row_noise"].rms_adu == pytest.approx(12.0, rel=0.15)

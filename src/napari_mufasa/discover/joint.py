@@ -44,7 +44,7 @@ def settled(
     observable) together; rays are those of `kinds` that it lacks. None where the misfit there is not `below` what it
     should be. Effects `on_trial` that come to next to none go from the model. About `most` simulations are spent, at
     least those of the neighbourhood."""
-    there = brought(library, state, x, kinds, most)
+    there = brought(library, state, x, kinds, most, below)
     if not there.misfit(x) < below:
         return None
     model = there.model
@@ -52,19 +52,22 @@ def settled(
     return seen_from(library, model.model_copy(update={"effects": tuple(stay)}), kinds)
 
 
-def brought(library: Library, state: State, x: Array, kinds: Sequence[str], most: int) -> State:
+def brought(library: Library, state: State, x: Array, kinds: Sequence[str], most: int, below: float = np.inf) -> State:
     """The state once all its free values are brought to the measurement x together, seen by a few simulations; of
-    `most` those of a neighbourhood are left."""
+    `most` those of a neighbourhood are left. It is given up once its misfit will not come `below` what it should be."""
     model = state.model_at(state.adjusted(x).moves)
     if state.far_off(x):
         model = nearer(library, state, model, x)
-    return descended(library, state, model, x, most - _around(state.free, model, kinds))
+    return descended(library, state, model, x, most - _around(state.free, model, kinds), below)
 
 
 def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Library | None:
     """The neighbourhood of the library's model with its free values further downhill; None where no step leads there,
-    as simulations that have not shown the way confirm. Of simulations about `most` are spent."""
+    as simulations that have not shown the way confirm. Of simulations about `most` are spent, none where the slopes
+    say that it is about as far down as they know."""
     here = library.base
+    if not _leads_far(here, x):
+        return None
     there = descended(library, here, here.model, x, most - _around(here.free, here.model, kinds))
     if there.model is here.model or not _seen(library, there, there.model, UNSEEN).misfit(x) < DEEPER * here.misfit(x):
         return None
@@ -102,20 +105,20 @@ def nearer(library: Library, state: State, model: Model, x: Array) -> Model:
     return min(found, key=lambda candidate: _seen(library, state, candidate).misfit(x))
 
 
-def descended(library: Library, state: State, model: Model, x: Array, most: int) -> State:
-    """Where the state's model gets, its free values moved downhill towards the measurement x, derivatives taken anew at
-    every step, as far as simulations of where the step leads confirm it, and the slopes promise more; of simulations
-    about `most` are spent."""
+def descended(library: Library, state: State, model: Model, x: Array, most: int, below: float = np.inf) -> State:
+    """Where the state's model gets, its free values moved downhill towards the measurement x, as far as simulations of
+    where a step leads confirm it. Derivatives are taken anew where a step fails that promised much, and it ends where
+    by these the misfit will not come `below` what it should be. Of simulations about `most` are spent."""
     most += library.bench.done
     here = _seen(library, state, model)
     for _ in range(DESCENTS):
         while library.bench.done + STEP_SIMULATIONS <= most and (there := _closer(library, here, x)) is not None:
             here = there
-        if not _promises(here, x) or library.bench.done + SLOPE_SEEDS * len(here.free) + STEP_SIMULATIONS > most:
+        if not _leads_far(here, x) or library.bench.done + SLOPE_SEEDS * len(here.free) + STEP_SIMULATIONS > most:
             break
         steps = free_steps(here.model, here.values, here.free)
         here = replace(here, slopes=derivatives(library.simulated, here.model_at, steps, here.check))
-        if (there := _closer(library, here, x)) is None:
+        if here.misfit(x) > below or (there := _closer(library, here, x)) is None:
             break
         here = there
     return here
@@ -140,6 +143,11 @@ def _closer(library: Library, here: State, x: Array) -> State | None:
 def _promises(here: State, x: Array, share: float = 1.0) -> bool:
     """Do the slopes promise that a share of the step downhill is worth its simulations?"""
     return (_unmoved(here, x) - here.misfit(x)) * share * (2 - share) > PROMISED
+
+
+def _leads_far(here: State, x: Array) -> bool:
+    """Do the slopes promise that the way downhill is worth derivatives of its own?"""
+    return here.misfit(x) < DEEPER * _unmoved(here, x)
 
 
 def removed(library: Library, *kinds: str) -> State:

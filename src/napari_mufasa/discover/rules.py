@@ -38,7 +38,7 @@ CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an e
 FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried
 NEARER = 0.97  # of the misfit: simulations of where a step downhill leads confirm it
 PROMISED = 2.0  # −2 log likelihood: a step downhill of which the slopes promise less is not worth its simulations
-DEEPER = 0.9  # of the misfit: a place further downhill is worth the simulations of its neighbourhood
+DEEPER = 0.9  # of the misfit: a place further downhill is worth derivatives, and the simulations of its neighbourhood
 
 # The budget of simulations ----------------------------------------------------------------------------------
 BUDGET = 4_000  # simulations of a movie of ordinary size …
