@@ -217,7 +217,7 @@ class Climb:
     def rank(self, tries):
         return []
 
-    def widen(self, leads=()):
+    def widen(self, forms_only=False):
         return False
 
     deepen = exchange = widen

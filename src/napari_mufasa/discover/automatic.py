@@ -133,7 +133,7 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
             break
         apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
         leads = apart or leads
-        if known and not apart and (inquiry.deepen() or inquiry.exchange([cases[0] for cases in leads])):
+        if known and not apart and (inquiry.deepen() or inquiry.exchange(forms_only=True)):
             dropped = set[str]()
         elif affordable := [leads[:n] for n in range(len(leads), 0, -1) if inquiry.affords(n)]:
             dropped = inquiry.take_up(affordable[0])

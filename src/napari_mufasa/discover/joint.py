@@ -64,9 +64,9 @@ def brought(library: Library, state: State, x: Array, kinds: Sequence[str], most
 def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Library | None:
     """The neighbourhood of the library's model with its free values further downhill; None where no step leads there,
     as simulations that have not shown the way confirm. Of simulations about `most` are spent, none where the slopes
-    say that it is about as far down as they know."""
+    promise nothing."""
     here = library.base
-    if not _leads_far(here, x):
+    if not _promises(here, x):
         return None
     there = descended(library, here, here.model, x, most - _around(here.free, here.model, kinds))
     if there.model is here.model or not _seen(library, there, there.model, UNSEEN).misfit(x) < DEEPER * here.misfit(x):

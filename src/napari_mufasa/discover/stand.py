@@ -171,12 +171,6 @@ class Stand:
         explained, left = self.first.misfit(self.x) - self.misfit, self.misfit - float(self.null.misfit.law.median())
         return lead.gain > FORM_FIRST * max(shared * explained, left)
 
-    def may_be_left_by(self, lead: Lead, kind: str) -> bool:
-        """May what the lead promises be what the form of an added effect has left: does that move the same as far, and
-        is it worth so much more?"""
-        alike = _shared(lead.shift, self.state.mean - self.without(kind).mean, self.state.spread) > ALIKE
-        return alike and lead.gain < FORM_FIRST * self.worths[kind].evidence
-
     def rivals_of(self, kind: str, share: float) -> list[Case]:
         """What promises more than a share of what an added effect is worth, in its place; best first."""
         worth = self.worths[kind]

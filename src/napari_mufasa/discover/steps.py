@@ -101,21 +101,19 @@ class Steps(Standing):
                 at_once = False
         return dropped
 
-    def exchange(self, leads: Sequence[Case] = ()) -> bool:
+    def exchange(self, forms_only: bool = False) -> bool:
         """Try other forms, and rivals, in the place of each effect; keep the first that explains more. What could not
-        be told from an effect is noted with its worth. While there are `leads`, only other forms of the effects that
-        may have left what those promise."""
+        be told from an effect is noted with its worth. `forms_only`: no rivals, and what is kept must explain clearly
+        more, for other effects are waiting."""
         for kind in self.stand.added:
             stand = self.stand
             if not self.affords(1):
                 return False
-            if leads and not any(stand.may_be_left_by(case[0], kind) for case in leads):
-                continue
-            tries = self._begun_without(kind, () if leads else stand.rivals_of(kind, RIVAL)[:RIVALS])
+            tries = self._begun_without(kind, () if forms_only else stand.rivals_of(kind, RIVAL)[:RIVALS])
             effect = next(e for e in stand.state.model.effects if e.kind == kind)
             if not stand.content and (others := [e for e in each_form(effect) if e.chosen != effect.chosen]):
                 tries.append(begun(stand.library, stand.without(kind), others, stand.x))
-            if self._replaced(kind, tries, -NEAR if leads else NEAR):
+            if self._replaced(kind, tries, -NEAR if forms_only else NEAR):
                 return True
         return False
 
