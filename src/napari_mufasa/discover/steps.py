@@ -177,7 +177,8 @@ class Steps(Standing):
             stand = stand.confirming(kind, replace(stand.worths[kind], rivals=near))
             self.stands[-1] = stand
         surprise = stand.state.surprise(stand.x)
-        if not tries or tries[0].surprise(stand.x) > surprise + (0.0 if stand.content else 2 * NEAR):
+        margin = more if more < 0 else 0.0 if stand.content else 2 * NEAR
+        if not tries or tries[0].surprise(stand.x) > surprise + margin:
             return False
         if not self._settle(tries[0], below=stand.misfit + more):
             return False
