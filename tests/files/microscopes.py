@@ -5,6 +5,7 @@ Each function writes a movie (frame, y, x) to a path and gives the path.
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 
 Movie = np.ndarray[Any, Any]
 
@@ -140,6 +142,18 @@ def write_lif(path: Path, movie: Movie) -> Path:
     return path
 
 
+def write_micro_manager(path: Path, movie: Movie) -> Path:
+    """As Micro-Manager 2 does: settings of all devices, as JSON, in a tag of every frame."""
+    told = {"PixelSizeUm": 0.1075, "Exposure-ms": 30.0, "Interval_ms": 40.0, "Camera": "Andor"}
+    settings = json.dumps(told | {"Andor-Gain": {"PropVal": "250"}})
+    with tifffile.TiffWriter(path) as file:
+        for frame in movie.astype(np.uint16):
+            tags = [(51123, "s", 0, settings, True)]
+            file.write(frame, extratags=tags, contiguous=False, metadata=None, photometric="minisblack")
+    return path
+
+
 WRITERS: dict[str, Callable[[Path, Movie], Path]] = {
     ".czi": write_czi, ".lif": write_lif, ".nd2": write_nd2, ".pma": write_pma, ".sif": write_sif,
+    ".tif": write_micro_manager,
 }  # fmt: skip

@@ -69,6 +69,8 @@ def test_what_a_czi_says_of_the_instrument_is_known_everywhere(tmp_path, capsys)
         (".nd2", Instrument(em_gain=250, exposure_s=pytest.approx(0.03), interval_s=pytest.approx(0.04),
                             pixel_size_nm=pytest.approx(107.5))),
         (".sif", Instrument(camera="DU897_BV", em_gain=250, exposure_s=0.03, interval_s=0.04)),
+        (".tif", Instrument(camera="Andor", em_gain=250, exposure_s=pytest.approx(0.03),
+                            interval_s=pytest.approx(0.04), pixel_size_nm=pytest.approx(107.5))),
         (".lif", Instrument(interval_s=pytest.approx(0.04), pixel_size_nm=pytest.approx(107.5))),
     ],
 )  # fmt: skip
@@ -81,7 +83,7 @@ def test_movies_come_into_the_viewer_with_their_scale(path):
     assert kind == "image" and data.shape == MOVIE.shape and options["name"] == "movie"
     read = get_reader(str(path))
     assert read is not None and read(str(path))[0][0].shape == MOVIE.shape
-    if path.suffix in (".czi", ".nd2"):
+    if path.suffix in (".czi", ".nd2", ".tif"):
         assert options["scale"] == pytest.approx((1.0, 0.1075, 0.1075)) and options["units"] == ("pixel", "um", "um")
         layer = SimpleNamespace(metadata=options["metadata"])
         assert instrument_of(layer).exposure_s == pytest.approx(0.03)

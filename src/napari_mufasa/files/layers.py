@@ -22,11 +22,26 @@ BLOCK_FRAMES = 64
 
 # readers ------------------------------------------------------------------------------------------------
 def get_reader(path: str | Sequence[str]) -> Callable[[str | Sequence[str]], list[LayerData]] | None:
-    """napari's question: can you read this? Files that carry our metadata, and formats that napari has no reader for;
-    all others are someone else's."""
+    """napari's question: can you read this? Files that carry our metadata, formats that napari has no reader for, and
+    stacks of Micro-Manager, of whose pixel size and exposure napari's own knows nothing; all others are someone
+    else's."""
     if not isinstance(path, (str, os.PathLike)):
         return None
-    return read_layers if is_ours(path) or (Path(path).is_file() and is_format(Path(path))) else None
+    ours = is_ours(path) or is_micro_manager(path) or (Path(path).is_file() and is_format(Path(path)))
+    return read_layers if ours else None
+
+
+def is_micro_manager(path: str | os.PathLike[str]) -> bool:
+    """Whether Micro-Manager wrote this file; looks at its header only."""
+    if not str(path).lower().endswith((".tif", ".tiff")):
+        return False
+    try:
+        import tifffile
+
+        with complaints(), tifffile.TiffFile(path) as tiff:
+            return bool(tiff.is_micromanager)
+    except Exception:  # unreadable: none of theirs, whatever is wrong with it
+        return False
 
 
 def is_ours(path: str | os.PathLike[str]) -> bool:
@@ -49,7 +64,7 @@ def is_ours(path: str | os.PathLike[str]) -> bool:
 
 
 def read_layers(path: str | Sequence[str]) -> list[LayerData]:
-    """A movie we wrote, lazily, its model in ``metadata["napari_mufasa"]``."""
+    """A movie, lazily; the model of one that we wrote is in ``metadata["napari_mufasa"]``."""
     return [movie_layer(path if isinstance(path, (str, os.PathLike)) else path[0])]
 
 
