@@ -206,6 +206,23 @@ def test_derivatives_taken_anew_bring_nuisance_values_home():
     assert light == pytest.approx(1.15, rel=0.02) and found.misfit < usual_misfit()
 
 
+def test_a_fit_that_will_not_come_below_what_it_must_is_given_up():
+    """Once derivatives taken anew say so: they are all that is spent after that."""
+    bench = BentBench()
+    truth = bench.start.with_values({"optics.brightness_correction": 1.15})
+    stand = stand_of(bench, truth.with_effects(HOT(fraction=5e-3, electrons=8.0)))
+    state = begun(stand.library, stand.state, [HOT(fraction=5e-3, electrons=8.0)], stand.x)
+
+    def spent(below):
+        before = bench.done
+        there = joint.descended(stand.library, state, state.model, stand.x, 2000, below)
+        return bench.done - before, there.misfit(stand.x)
+
+    (whole, misfit), (little, _) = spent(usual_misfit()), spent(1.0)
+    assert misfit < usual_misfit() and little < whole
+    assert joint.settled(stand.library, state, stand.x, KINDS, 2000, below=1.0) is None
+
+
 @pytest.mark.parametrize("better", [True, False])
 def test_nuisance_values_are_matched_again_where_that_is_nearer(bench, monkeypatch, better):
     truth = bench.start.with_effects(HOT(fraction=5e-3, electrons=8.0))
