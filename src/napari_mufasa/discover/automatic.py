@@ -119,7 +119,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
 
 
 def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str, set[str]]) -> None:
-    """Take up what promises something, or another form of what may have left that, until nothing does."""
+    """Take up what promises something, or other forms of what is in the model, until nothing does."""
     while not (inquiry.chosen and inquiry.stand.content):
         inquiry.look()
         stand, known = inquiry.stand, set(inquiry.chosen)

@@ -33,15 +33,7 @@ def get_reader(path: str | Sequence[str]) -> Callable[[str | Sequence[str]], lis
 
 def is_micro_manager(path: str | os.PathLike[str]) -> bool:
     """Whether Micro-Manager wrote this file; looks at its header only."""
-    if not str(path).lower().endswith((".tif", ".tiff")):
-        return False
-    try:
-        import tifffile
-
-        with complaints(), tifffile.TiffFile(path) as tiff:
-            return bool(tiff.is_micromanager)
-    except Exception:  # unreadable: none of theirs, whatever is wrong with it
-        return False
+    return _header_says(path, lambda tiff: tiff.is_micromanager)
 
 
 def is_ours(path: str | os.PathLike[str]) -> bool:
@@ -53,14 +45,22 @@ def is_ours(path: str | os.PathLike[str]) -> bool:
 
             file = Path(path) / "zarr.json"
             return file.is_file() and METADATA_KEY in json.loads(file.read_text()).get("attributes", {})
-        if name.endswith((".tif", ".tiff")):
-            import tifffile
-
-            with complaints(), tifffile.TiffFile(path) as tiff:
-                return bool(tiff.is_ome and METADATA_KEY in (tiff.ome_metadata or ""))
     except Exception:  # unreadable: not ours, whatever is wrong with it
         return False
-    return False
+    return _header_says(path, lambda tiff: tiff.is_ome and METADATA_KEY in (tiff.ome_metadata or ""))
+
+
+def _header_says(path: str | os.PathLike[str], what: Callable[[Any], bool]) -> bool:
+    """Whether the header of a TIFF says `what`; of a file that is none, or cannot be read, it does not."""
+    if not str(path).lower().endswith((".tif", ".tiff")):
+        return False
+    try:
+        import tifffile
+
+        with complaints(), tifffile.TiffFile(path) as tiff:
+            return bool(what(tiff))
+    except Exception:  # whatever is wrong with it
+        return False
 
 
 def read_layers(path: str | Sequence[str]) -> list[LayerData]:

@@ -23,8 +23,8 @@ BELOW, DENSITY = stats.norm.cdf(PLACES), stats.norm.pdf(PLACES)
 
 @jit
 def below(z):  # type: ignore[no-untyped-def]
-    """The standard normal law below z, by its derivatives at the nearest place of a table: to 4e-9, and several times
-    faster than an error function, of which moving spots need a dozen in every frame."""
+    """The standard normal law below z, by its derivatives at the nearest place of a table: to 4e-9, and faster
+    than an error function, of which moving spots need a dozen in every frame."""
     k = min(max(int(np.rint((z + END) * FINE)), 0), BELOW.size - 1)
     d = min(max(z, -END), END) - PLACES[k]
     return BELOW[k] + DENSITY[k] * d * (1.0 - 0.5 * PLACES[k] * d)
