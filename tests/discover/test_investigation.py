@@ -189,15 +189,15 @@ def test_what_is_doubtful_stays_while_only_what_is_surely_useless_shall_go(monke
 class Climb:
     """An investigation that takes up one effect a look, far from its floor until the last; each doubted is dropped."""
 
-    def __init__(self, kinds, far_off):
-        self.left, self.far_off, self.chosen, self.told = list(kinds), far_off, [], []
+    def __init__(self, kinds, far_off, apart=True):
+        self.left, self.far_off, self.chosen, self.told, self.apart = list(kinds), far_off, [], [], apart
 
     @property
     def stand(self):
-        leads = [[[SimpleNamespace(kind=kind)]] for kind in self.left[:1]]
+        leads = [[[SimpleNamespace(kind=kind, gain=30.0)]] for kind in self.left[:2]]
         return SimpleNamespace(
             content=False, alarmed=True, far_off=len(self.left) in self.far_off, promising=lambda but: leads,
-            stands_apart=lambda lead: True,
+            stands_apart=lambda lead: self.apart,
         )  # fmt: skip
 
     def take_up(self, leads):
@@ -217,10 +217,15 @@ class Climb:
     def rank(self, tries):
         return []
 
-    def widen(self, forms_only=False):
+    def widen(self):
         return False
 
-    deepen = exchange = widen
+    deepen = widen
+
+    def exchange(self, waiting=None):
+        if waiting is not None:
+            self.told.append(f"forms that promise more than {waiting:.0f}")
+        return False
 
     def look(self):
         pass
@@ -238,6 +243,13 @@ def test_effects_are_judged_near_the_floor_and_once_nothing_more_promises_anythi
     assert told == ["take up one", "take up doubted", "take up two", "drop the useless", "judge", "judge"]
     assert far.chosen == ["one", "two"]
     assert play(Climb(["one"], far_off=(0,)), None) == ["take up one", "judge"]
+
+
+def test_other_forms_come_first_where_they_promise_more_than_all_that_waits():
+    told = play(Climb(["one", "two", "three"], far_off=(2, 1), apart=False), None)
+    forms = [words for words in told if words.startswith("forms")]
+    assert forms == ["forms that promise more than 60", "forms that promise more than 30"]
+    assert told[:3] == ["take up one", forms[0], "take up two"]
 
 
 @pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])

@@ -240,7 +240,7 @@ def test_a_model_in_another_shape():
     height, width = preset("FF").acquisition.shape_px
     noise = np.arange(height * width, dtype=float).reshape(height, width)
     model = preset("Blinking").in_shape(shape_px=(height, width)).with_values({"camera.offset_map_adu": noise})
-    part = model.in_shape(n_frames=7, region=(slice(3, 9), slice(2, 12)))
+    part = model.in_shape(region=(slice(0, 7), slice(3, 9), slice(2, 12)))
     assert part.acquisition.n_frames == 7 and part.acquisition.shape_px == (6, 10)
     np.testing.assert_array_equal(part.camera.offset_map_adu, noise[3:9, 2:12])
     with pytest.raises(MufasaError, match="offset_map_adu"):

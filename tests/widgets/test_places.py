@@ -10,6 +10,7 @@ import pytest
 from napari_mufasa.discover.places import find_places, place_of
 from napari_mufasa.effects import effect_from_data
 from napari_mufasa.errors import Cancelled
+from napari_mufasa.model.extent import Extent
 from napari_mufasa.samples import puzzle_model
 from napari_mufasa.simulate.movie import simulate, simulate_dark
 
@@ -20,10 +21,11 @@ BELIEVED = puzzle_model().with_values(
 
 def places(effect=None, seed=3):
     truth = BELIEVED.with_effects(effect_from_data(effect)) if effect else BELIEVED
-    dark = simulate_dark(truth, 30, seed)
-    return find_places(
-        SimpleNamespace(movie=simulate(truth, seed=seed).movie, dark=dark, model=BELIEVED), BELIEVED, (48, 48)
-    )
+    return find_places(measured(simulate(truth, seed=seed).movie, simulate_dark(truth, 30, seed)), BELIEVED, (48, 48))
+
+
+def measured(movie, dark=None, part=None):
+    return SimpleNamespace(movie=movie, dark=dark, model=BELIEVED, part=part or Extent())
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +75,15 @@ def test_hot_pixels_of_the_dark_frames_are_where_they_are():
     dark = simulate_dark(BELIEVED, 30, 3)
     dark[:, 11, 37] += 400
     movie = simulate(BELIEVED, seed=3).movie
-    found = find_places(SimpleNamespace(movie=movie, dark=dark, model=BELIEVED), BELIEVED, (48, 48))
+    found = find_places(measured(movie, dark), BELIEVED, (48, 48))
     assert np.unravel_index(found.maps["dark"].argmax(), (48, 48)) == (11, 37)
     assert place_of("dark_narrow_bright") == "dark"
 
 
 def test_a_central_part_knows_where_it_lies():
     movie = simulate(BELIEVED, seed=3).movie
-    found = find_places(SimpleNamespace(movie=movie, dark=None, model=BELIEVED), BELIEVED, (148, 88))
+    part = Extent(rows=(50 / 148, 98 / 148), columns=(20 / 88, 68 / 88))
+    found = find_places(measured(movie, part=part), BELIEVED, (148, 88))
     assert found.offset_px == (50, 20)
     assert found.molecules["y_px"].between(50, 98).all() and found.molecules["x_px"].between(20, 68).all()
     assert "dark" not in found.maps
@@ -89,4 +92,4 @@ def test_a_central_part_knows_where_it_lies():
 def test_cancel_stops_it():
     movie = simulate(BELIEVED, seed=3).movie
     with pytest.raises(Cancelled):
-        find_places(SimpleNamespace(movie=movie, dark=None, model=BELIEVED), BELIEVED, (48, 48), cancel=lambda: True)
+        find_places(measured(movie), BELIEVED, (48, 48), cancel=lambda: True)

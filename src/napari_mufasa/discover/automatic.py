@@ -119,7 +119,8 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
 
 
 def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str, set[str]]) -> None:
-    """Take up what promises something, or other forms of what is in the model, until nothing does."""
+    """Take up what promises something, or other forms of what is in the model where they promise more, until nothing
+    does."""
     while not (inquiry.chosen and inquiry.stand.content):
         inquiry.look()
         stand, known = inquiry.stand, set(inquiry.chosen)
@@ -133,7 +134,7 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
             break
         apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
         leads = apart or leads
-        if known and not apart and (inquiry.deepen() or inquiry.exchange(forms_only=True)):
+        if known and not apart and (inquiry.deepen() or inquiry.exchange(sum(cases[0][0].gain for cases in leads))):
             dropped = set[str]()
         elif affordable := [leads[:n] for n in range(len(leads), 0, -1) if inquiry.affords(n)]:
             dropped = inquiry.take_up(affordable[0])

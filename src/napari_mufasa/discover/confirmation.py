@@ -157,9 +157,10 @@ def confirm_halves(
         raise MufasaError(f"the movie is {height} × {width} pixels: one of them must be {2 * LEAST_PX} to give halves")
     halves = []
     for part in (slice(0, max(height, width) // 2), slice(max(height, width) // 2, max(height, width))):
-        region = (slice(0, height), part) if width >= height else (part, slice(0, width))
-        own_dark = None if dark is None else checks.stack(dark, "dark")[(slice(None), *region)]
-        halves.append((movie[(slice(None), *region)], whole.in_shape(region=region), own_dark))
+        rows, columns = (slice(0, height), part) if width >= height else (part, slice(0, width))
+        region = (slice(0, n_frames), rows, columns)
+        own_dark = None if dark is None else checks.stack(dark, "dark")[:, rows, columns]
+        halves.append((movie[region], whole.in_shape(region=region), own_dark))
     (one, one_model, one_dark), (other, other_model, other_dark) = halves
     here = diagnose(one, one_model, one_dark, seed=seed, effects=effects, budget=budget, **steering)
     return confirm(here, other, other_model, other_dark, seed=seed, effects=effects, budget=budget, **steering)

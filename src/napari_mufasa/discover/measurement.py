@@ -14,6 +14,7 @@ from napari_mufasa import checks
 from napari_mufasa.camera.darkness import light_in_dark
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.model.extent import Extent
 from napari_mufasa.model.model import Model
 
 FRAMES = 600  # a diagnosis looks at no more frames …
@@ -23,12 +24,14 @@ DARK_FRAMES = 60
 
 @dataclass(frozen=True)
 class Measurement:
-    """movie (frame, y, x) and dark (frame, y, x) or None, both uint16 ADU; the model in the movie's own shape."""
+    """movie (frame, y, x) and dark (frame, y, x) or None, both uint16 ADU; the model in the movie's own shape; which
+    part they are of the whole."""
 
     movie: NDArray[np.uint16]
     dark: NDArray[np.uint16] | None
     model: Model
     notes: tuple[str, ...]
+    part: Extent
 
 
 def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
@@ -64,16 +67,15 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
             warnings.warn(told, stacklevel=3)
         dark_data = _counts(np.asarray(dark[: min(dark_shape[0], DARK_FRAMES), rows, columns]), "dark stack", model)
     whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
-    here = whole.in_shape(n_frames=frames, region=(rows, columns)).with_values({"sample.layout": "random"})
-    return Measurement(data, dark_data, here, tuple(notes))
+    here = whole.in_shape(region=region).with_values({"sample.layout": "random"})
+    return Measurement(data, dark_data, here, tuple(notes), Extent.of(region, shape))
 
 
 def cropped(model: Model) -> Model:
     """The model of the part of its movie that a diagnosis looks at: as many molecules per area."""
     timing = model.acquisition
     frames = min(timing.n_frames, FRAMES)
-    region = _crop(timing.shape_px, VOXELS // frames)
-    part = model.in_shape(n_frames=frames, region=region)
+    part = model.in_shape(region=(slice(0, frames), *_crop(timing.shape_px, VOXELS // frames)))
     area = float(np.prod(part.acquisition.shape_px)) / float(np.prod(timing.shape_px))
     return part.with_values({"sample.n_molecules": max(1, round(model.sample.n_molecules * area))})
 

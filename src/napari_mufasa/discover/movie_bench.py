@@ -14,9 +14,10 @@ from napari_mufasa.discover import curves, nuisance
 from napari_mufasa.discover.bench import Bench, Job, as_table
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.read_off import background_beyond, read_off
+from napari_mufasa.discover.read_off import background_beyond, read_off, told_for
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.model.extent import Extent
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import PART_LABELS, PARTS, DarkView, Observation, checkerboard, observe, view_dark
 from napari_mufasa.simulate.movie import SimulatedAcquisition, simulate_dark
@@ -105,8 +106,11 @@ class MovieBench(Bench[Observation]):
         if kind == "converter_codes":
             return {"widths": self._code_widths(part)}
         if kind == "background_as_measured":
-            return self._background_beyond(beside or self.start)[part]
-        return read_off(kind, self.measured.only(part))
+            found = self._background_beyond(beside or self.start)[part]
+        else:
+            found = read_off(kind, self.measured.only(part))
+        extent = self.start.effects_refer_to
+        return found if extent is None else told_for(extent, found)
 
     def _code_widths(self, part: str) -> tuple[float, ...]:
         if part not in self._widths:
@@ -132,13 +136,14 @@ class MovieBench(Bench[Observation]):
         return {}
 
     def restored(self, model: Model, believed: Model) -> Model:
-        """The measurement's crop undone, density per area kept."""
+        """The measurement's crop undone, density per area kept; effects still speak of the part that was measured."""
         area = np.prod(believed.acquisition.shape_px) / np.prod(model.acquisition.shape_px)
         molecules = max(1, round(model.sample.n_molecules * float(area)))
         sample = believed.sample.model_copy(update={"n_molecules": molecules})
         timing = believed.acquisition
         whole = model.in_shape(n_frames=timing.n_frames, shape_px=timing.shape_px, maps=believed.camera)
-        return whole.model_copy(update={"sample": sample})
+        extent = (model.effects_refer_to or Extent()).placed_in(self.measurement.part)
+        return whole.model_copy(update={"sample": sample}).referring_to(extent)
 
 
 def _everything_in(part: Any) -> tuple[Hashable, ...]:

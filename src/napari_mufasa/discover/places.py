@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from napari_mufasa.model.extent import Extent
+from napari_mufasa.model.model import Model
+
 if TYPE_CHECKING:
     import pandas as pd
-
-    from napari_mufasa.model.model import Model
 
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
@@ -92,8 +93,8 @@ def find_places(
 
     Parameters
     ----------
-    measurement : has movie (frame, y, x) and dark (frame, y, x) or None, ADU, perhaps a central part of the field,
-        and model, whose camera maps have the movie's shape
+    measurement : has movie (frame, y, x) and dark (frame, y, x) or None, ADU, part, which says what part of the whole
+        they are, and model, whose camera maps have the movie's shape
     model : the model judged; shape_px : (height, width) of the whole field
     progress, cancel : see `simulate`
     """
@@ -103,7 +104,9 @@ def find_places(
 
     movie, dark = measurement.movie, measurement.dark
     frames, height, width = movie.shape
+    extent = (model.effects_refer_to or Extent()).seen_from(measurement.part)
     model = model.in_shape(n_frames=frames, shape_px=(height, width), maps=measurement.model.camera)
+    model = model.referring_to(extent)
     options: dict[str, Any] = {"psf_sigma_px": model.sigma_px, "cancel": cancel}
     found = extract_traces(movie, model.camera, dark, **options)
     # What is no molecule is not simulated: it shall stand out.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_mufasa.effects.courses import stepwise
+from napari_mufasa.model.extent import Extent
 from napari_mufasa.observe import Observation
 from napari_mufasa.observe.summary import mean_shape
 from napari_mufasa.spots.drift import SEEN_PX
@@ -37,6 +38,37 @@ def read_off(kind: str, observation: Observation) -> dict[str, Any]:
     """Parameters of an effect that the movie shows, by name; nothing for effects that have none."""
     reader = READERS.get(kind)
     return {} if reader is None else reader(observation)
+
+
+def told_for(extent: Extent, found: dict[str, Any]) -> dict[str, Any]:
+    """Parameters that were read off a part of a movie, as an effect gives them that speaks of an extent around it
+    (shares of the part); beyond the part, what was seen at its end."""
+    told, frames = dict(found), extent.frames
+    for name in ("course", "path"):
+        if values := found.get(name):
+            told[name] = tuple(map(_plain, _resampled(np.array(values), 0, frames)))
+    if "step_at" in found:
+        told["step_at"] = float(np.clip((found["step_at"] - frames[0]) / (frames[1] - frames[0]), 0, 1))
+    for name, columns in (("seen", "seen_columns"), ("map", "map_columns")):
+        if values := found.get(name):
+            grid = np.reshape(values, (-1, found[columns]))
+            grid = _resampled(_resampled(grid, 0, extent.rows), 1, extent.columns)
+            told |= {name: tuple(grid.ravel().tolist()), columns: grid.shape[1]}
+    return told
+
+
+def _resampled(values: Array, axis: int, bounds: tuple[float, float]) -> Array:
+    """Values at the centres of equal cells of a part along an axis, as those of about as large cells between
+    `bounds` (shares of the part)."""
+    n, (start, stop) = values.shape[axis], bounds
+    cells = max(1, round(n * (stop - start)))
+    at = start + (stop - start) * (np.arange(cells) + 0.5) / cells
+    found: Array = np.apply_along_axis(lambda row: np.interp(at, (np.arange(n) + 0.5) / n, row), axis, values)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    return tuple(value.tolist()) if value.ndim else float(value)
 
 
 def course_of(readings: Array) -> dict[str, Any]:

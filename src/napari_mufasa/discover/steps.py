@@ -101,19 +101,20 @@ class Steps(Standing):
                 at_once = False
         return dropped
 
-    def exchange(self, forms_only: bool = False) -> bool:
+    def exchange(self, waiting: float | None = None) -> bool:
         """Try other forms, and rivals, in the place of each effect; keep the first that explains more. What could not
-        be told from an effect is noted with its worth. `forms_only`: no rivals, and what is kept must explain clearly
-        more, for other effects are waiting."""
+        be told from an effect is noted with its worth. While others are `waiting` that promise so much: no rivals, and
+        no form that promises less."""
+        least = NEAR if waiting is None else -max(waiting, NEAR)
         for kind in self.stand.added:
             stand = self.stand
             if not self.affords(1):
                 return False
-            tries = self._begun_without(kind, () if forms_only else stand.rivals_of(kind, RIVAL)[:RIVALS])
+            tries = self._begun_without(kind, stand.rivals_of(kind, RIVAL)[:RIVALS] if waiting is None else ())
             effect = next(e for e in stand.state.model.effects if e.kind == kind)
             if not stand.content and (others := [e for e in each_form(effect) if e.chosen != effect.chosen]):
                 tries.append(begun(stand.library, stand.without(kind), others, stand.x))
-            if self._replaced(kind, tries, -NEAR if forms_only else NEAR):
+            if self._replaced(kind, tries, least):
                 return True
         return False
 

@@ -143,7 +143,7 @@ class ClockInducedCharge(Effect):
         gain = max(_gain(scene), 1.0)
         if self.form != "in_register" or gain == 1.0:
             growth = self.growth if self.form == "along_columns" else 0.0
-            rows = 1 + growth * np.linspace(-0.5, 0.5, scene.shape_px[0], dtype=np.float32)[:, None]
+            rows = np.maximum(1 + growth * (scene.down.astype(np.float32) - 0.5), 0)[:, None]
             scene.sensor.expected.append(lambda e, frames: e + np.float32(self.electrons) * rows)
             return
         mean = (1 - 1 / gain) / np.log(gain)  # of gain^-u: what an electron born at u of the register's length keeps

@@ -26,7 +26,8 @@ def course(
     elif form == "accelerating":
         path = progress**2
     elif form == "step":
-        path = stepwise(np.arange(len(progress)), step_at * (len(progress) - 1), step_frames)
+        last = (len(progress) - 1) / max(float(np.ptp(progress)), 1e-12)  # frame of progress 1
+        path = stepwise(np.round(progress * last, 6), step_at * last, step_frames)
     elif seen:
         path = np.interp(progress, (np.arange(len(seen)) + 0.5) / len(seen), seen)
     else:

@@ -9,7 +9,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from napari_mufasa.model.effect import parameter
-from napari_mufasa.simulate.scene import Array
+from napari_mufasa.simulate.scene import Array, Scene
 
 
 def bright_side(forms: tuple[str, ...] = ()) -> Any:
@@ -29,11 +29,11 @@ def value_columns() -> Any:
     return Field(1, ge=1, description="columns of that grid", json_schema_extra={"forms": ["as_seen"]})
 
 
-def relief(values: tuple[float, ...], columns: int, y: Array, x: Array, shape_px: tuple[int, int]) -> Array:
-    """Height at pixel coordinates: straight lines between the centres of the grid's cells, level beyond them;
-    a last row that is not full does not count."""
+def relief(values: tuple[float, ...], columns: int, scene: Scene, y: Array, x: Array) -> Array:
+    """Height at pixel coordinates of a scene: straight lines between the centres of the grid's cells, level beyond
+    them; a last row that is not full does not count."""
     columns = min(columns, len(values))
     grid = np.reshape(values[: len(values) // columns * columns], (-1, columns))
-    at = [(place + 0.5) / n * cells - 0.5 for place, n, cells in zip((y, x), shape_px, grid.shape, strict=True)]
+    at = [share * cells - 0.5 for share, cells in zip(scene.shares(y, x), grid.shape, strict=True)]
     found: Array = ndimage.map_coordinates(grid, np.broadcast_arrays(*at), order=1, mode="nearest")
     return found

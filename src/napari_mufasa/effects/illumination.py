@@ -58,8 +58,7 @@ class IlluminationProfile(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
-        v, u = scene.centred(*scene.pixel_coordinates())
-        faintest = float(np.min(self._beam(v, u)))
+        faintest = float(np.min(scene.over_field(lambda y, x: self._beam(*scene.centred(y, x)))))
 
         def profile(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
@@ -68,20 +67,20 @@ class IlluminationProfile(Effect):
                 hump: Array = 1 - self.edge_dimming * (1 - beam) / max(1 - faintest, 1e-12)
                 return np.maximum(hump, 0.0)  # molecules may lie half a pixel beyond the faintest one
             if self.seen and self.form == "as_seen":
-                lit: Array = 1 - self.edge_dimming * (1 - relief(self.seen, self.seen_columns, y, x, scene.shape_px))
+                lit: Array = 1 - self.edge_dimming * (1 - relief(self.seen, self.seen_columns, scene, y, x))
                 return lit
             if self.form in ("linear", "as_seen"):  # where nothing was seen
-                height, width = np.array(scene.shape_px) / max(scene.shape_px)
+                height, width = np.array(scene.field_px) / max(scene.field_px)
                 reach = width * abs(np.cos(angle)) + height * abs(np.sin(angle))  # from the centre to the last corner
                 along: Array = (u * np.cos(angle) + v * np.sin(angle)) / reach
-                return 1 - self.edge_dimming * (1 - along) / 2
+                return np.maximum(1 - self.edge_dimming * (1 - along) / 2, 0.0)
             cy, cx = (0.5 * np.sin(angle), 0.5 * np.cos(angle)) if self.form == "off_centre" else (0.0, 0.0)
             decay = np.log(1 - self.edge_dimming)
             left: Array = np.exp(decay * ((v - cy) ** 2 + (u - cx) ** 2) / (1 + cy**2 + cx**2))
             return left
 
         # The brightness believed is that of the field's mean, so only the shape is new.
-        mean = float(np.mean(profile(*scene.pixel_coordinates())))
+        mean = float(np.mean(scene.over_field(profile)))
         scene.light_field.append(lambda y, x: profile(y, x) / mean)
 
 

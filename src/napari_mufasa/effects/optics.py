@@ -70,7 +70,7 @@ class BackgroundGradient(Effect):
         def shape(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
             if self.seen and self.form == "as_seen":
-                rise = relief(self.seen, self.seen_columns, y, x, scene.shape_px)
+                rise = relief(self.seen, self.seen_columns, scene, y, x)
             elif self.form in ("linear", "as_seen"):  # where nothing was seen
                 rise = (u * np.cos(angle) + v * np.sin(angle)) / 2
             else:
@@ -78,7 +78,7 @@ class BackgroundGradient(Effect):
             return self.relative_height * rise
 
         # The background believed is that of the field's mean.
-        mean = float(np.mean(np.maximum(1 + shape(*scene.pixel_coordinates()), 0.0)))
+        mean = float(np.mean(scene.over_field(lambda y, x: np.maximum(1 + shape(y, x), 0.0))))
         scene.background_field.append(lambda y, x: np.maximum(1 + shape(y, x), 0.0) / mean)
 
 
@@ -115,7 +115,8 @@ class BackgroundDecay(Effect):
             left = np.exp(-scene.progress / self.time_constant_movies)
         else:
             seen = self.course if self.form == "as_seen" else ()
-            left = 1 - np.abs(course("wandering" if seen else "linear", scene.progress, rng, seen=seen))
+            gone = np.abs(course("wandering" if seen else "linear", scene.progress, rng, seen=seen))
+            left = np.maximum(1 - gone, 0.0)
         scene.background = scene.background * (1 - self.fraction + self.fraction * left)
 
 
@@ -155,18 +156,21 @@ class BackgroundAsMeasured(Effect):
         if self.map:
 
             def relative(y: Array, x: Array) -> Array:
-                seen = relief(self.map, self.map_columns, y, x, scene.shape_px)
+                seen = relief(self.map, self.map_columns, scene, y, x)
                 return np.maximum(1 + self.share * (seen - 1), 0.0)
 
             # The background believed is that of the field's and the movie's mean.
-            mean = float(np.mean(relative(*scene.pixel_coordinates())))
+            mean = float(np.mean(scene.over_field(relative)))
             if mean > 0:
                 scene.background_field.append(lambda y, x: relative(y, x) / mean)
         if self.course:
-            n, at = len(self.course), (np.arange(scene.n_frames) + 0.5) / scene.n_frames  # the middle of each frame
-            path = 1 + self.share * (np.interp(at, (np.arange(n) + 0.5) / n, self.course) - 1)
-            path = np.maximum(path, 0.0)
-            scene.background = scene.background * path / max(float(path.mean()), 1e-12)
+
+            def path(elapsed: Array) -> Array:
+                seen = np.interp(elapsed, (np.arange(len(self.course)) + 0.5) / len(self.course), self.course)
+                return np.maximum(1 + self.share * (seen - 1), 0.0)
+
+            usual = float(scene.over_time(path).mean())
+            scene.background = scene.background * path(scene.elapsed) / max(usual, 1e-12)
 
 
 class PSFHalo(Effect):

@@ -18,6 +18,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.whole import read_json, write_text
 from napari_mufasa.model.effect import Effect
 from napari_mufasa.model.explain import explain
+from napari_mufasa.model.extent import Extent
 from napari_mufasa.model.registry import effect_class, effect_from_data
 from napari_mufasa.model.setup import MAPS, Camera, Setup
 
@@ -46,6 +47,7 @@ class Model(Setup):
     """Sample, photophysics, excitation, optics, camera and effects: all a movie needs."""
 
     effects: Annotated[tuple[SerializeAsAny[Effect], ...], BeforeValidator(_effects)] = ()
+    effects_refer_to: Extent | None = None  # the part of the movie that effects speak of; None: all of it
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Model:
@@ -107,7 +109,7 @@ class Model(Setup):
         *,
         n_frames: int | None = None,
         shape_px: tuple[int, int] | None = None,
-        region: tuple[slice, slice] | None = None,
+        region: tuple[slice, slice, slice] | None = None,
         maps: Camera | Literal["own"] | None = "own",
     ) -> Model:
         """The model for a movie of another length or shape.
@@ -115,7 +117,8 @@ class Model(Setup):
         Parameters
         ----------
         n_frames, shape_px : frames and (height, width) of that movie; None: as they are
-        region : (rows, columns) of the field that the movie shows, instead of `shape_px`: the camera's maps are cropped
+        region : (frames, rows, columns) that it shows of this one, instead of these: the camera's maps are cropped,
+            and effects still speak of what they spoke of
         maps : whose maps the pixels have: the model's "own", another camera's, or None: a made-up field has none
 
         Raises
@@ -124,21 +127,30 @@ class Model(Setup):
         """
         timing, camera = self.acquisition, self.camera if maps == "own" else maps
         found: dict[str, Any] = {name: getattr(camera, name, None) for name in MAPS}
+        extent = self.effects_refer_to
         if region is not None:
-            found = {name: None if value is None else value[region] for name, value in found.items()}
-            height, width = (len(range(*part.indices(n))) for part, n in zip(region, timing.shape_px, strict=True))
+            found = {name: None if value is None else value[region[1:]] for name, value in found.items()}
+            whole = (timing.n_frames, *timing.shape_px)
+            n_frames, height, width = (len(range(*part.indices(n))) for part, n in zip(region, whole, strict=True))
             shape_px = (height, width)
+            extent = (extent or Extent()).seen_from(Extent.of(region, whole))
         shape = timing.shape_px if shape_px is None else (int(shape_px[0]), int(shape_px[1]))
         for name, value in found.items():
             if value is not None and value.shape != tuple(shape):
                 raise MufasaError(f"camera.{name} is {value.shape}, the movie {tuple(shape)}: give a map of the movie")
         frames = timing.n_frames if n_frames is None else int(n_frames)
-        return self.model_copy(
+        changed = self.model_copy(
             update={
                 "acquisition": timing.model_copy(update={"n_frames": frames, "shape_px": shape}),
                 "camera": self.camera.model_copy(update=found),
             }
         )
+        return changed.referring_to(extent)
+
+    def referring_to(self, extent: Extent | None) -> Model:
+        """The model whose effects speak of that part of the movie."""
+        nothing = extent is None or extent.is_whole or not self.effects
+        return self.model_copy(update={"effects_refer_to": None if nothing else extent})
 
     def with_effects(self, *effects: Effect) -> Model:
         """A copy with further effects; one of a kind already there is replaced."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa import camera, optics
 from napari_mufasa.chance.streams import Streams
+from napari_mufasa.model.extent import Extent
 from napari_mufasa.model.model import Model
 from napari_mufasa.model.setup import Setup
 from napari_mufasa.photophysics.chain import Chain
@@ -48,6 +49,7 @@ class Scene:
     sigma_px: Array  # (frame, 2) PSF standard deviations (y, x)
     shift_px: Array  # (frame, 2) motion common to all molecules
     background: Array  # (frame,) relative background, on top of the light's course
+    reference: tuple[tuple[float, float], ...]  # (start, stop) frame, row and column that effects speak of
     light_field: list[FieldMap] = field(default_factory=list)  # excitation across the field: spots and background
     background_field: list[FieldMap] = field(default_factory=list)  # background only
     walk_px: NDArray[np.float32] | None = None  # (frame, molecule, 2) motion of each molecule
@@ -67,18 +69,55 @@ class Scene:
 
     @property
     def progress(self) -> Array:
-        """(frame,) 0 at the first frame, 1 at the last."""
-        return np.linspace(0.0, 1.0, self.n_frames)
+        """(frame,) 0 at the first frame that effects speak of, usually of the movie, 1 at the last."""
+        return _along(self.n_frames, self.reference[0])
+
+    @property
+    def down(self) -> Array:
+        """(y,) 0 at the first row that effects speak of, usually of the movie, 1 at the last."""
+        return _along(self.shape_px[0], self.reference[1])
+
+    @property
+    def elapsed(self) -> Array:
+        """(frame,) the share of the movie that has passed by the middle of each frame."""
+        start, stop = self.reference[0]
+        middle = np.arange(self.n_frames, dtype=np.float64) + 0.5
+        passed: Array = (middle - start) / (stop - start)
+        return passed
 
     def pixel_coordinates(self) -> tuple[Array, Array]:
         y, x = np.indices(self.shape_px, dtype=float)
         return y, x
 
+    @property
+    def field_px(self) -> tuple[float, float]:
+        """Height and width of the field that effects speak of, usually the movie's."""
+        (top, bottom), (left, right) = self.reference[1:]
+        return bottom - top, right - left
+
     def centred(self, y: Array, x: Array) -> tuple[Array, Array]:
         """Coordinates relative to the field's centre, ±1 at the edges of the longer side."""
-        height, width = self.shape_px
-        half = max(height, width) / 2
-        return (y - (height - 1) / 2) / half, (x - (width - 1) / 2) / half
+        (top, bottom), (left, right) = self.reference[1:]
+        half = max(self.field_px) / 2
+        return (y - (top + bottom - 1) / 2) / half, (x - (left + right - 1) / 2) / half
+
+    def shares(self, y: Array, x: Array) -> tuple[Array, Array]:
+        """Coordinates as shares of the field's height and width, 0 at its first edges."""
+        (top, _), (left, _) = self.reference[1:]
+        height, width = self.field_px
+        return (y + 0.5 - top) / height, (x + 0.5 - left) / width
+
+    def over_time(self, course: Callable[[Array], Array]) -> Array:
+        """What a course is in the frames that effects speak of, by the share that has passed."""
+        start, stop = self.reference[0]
+        n = max(1, round(stop - start))
+        return course((np.arange(n) + 0.5) / n)
+
+    def over_field(self, relative: FieldMap) -> Array:
+        """What a map is at the pixels of the field that effects speak of."""
+        edges = np.ceil(np.array(self.reference[1:]) - 0.5).astype(int)
+        y, x = (np.arange(start, stop, dtype=float) for start, stop in edges)
+        return relative(*np.broadcast_arrays(y[:, None], x[None, :]))
 
     def light_at(self, y: Array, x: Array) -> Array:
         """Relative excitation at pixel coordinates."""
@@ -193,10 +232,18 @@ def build_scene(model: Model, positions_px: NDArray[np.floating[Any]], streams: 
         sigma_px=np.full((n, 2), model.sigma_px),
         shift_px=np.zeros((n, 2)),
         background=np.ones(n),
+        reference=(model.effects_refer_to or Extent()).within(model.acquisition),
     )
     for effect in sorted(model.effects, key=lambda e: e.order):
         effect.apply(scene, streams.of(f"effect {effect.kind}"))
     return scene
+
+
+def _along(n: int, bounds: tuple[float, float]) -> Array:
+    """(n,) places from 0 at the first to 1 at the last one within bounds (start, stop)."""
+    start, stop = bounds
+    steps = max(stop - start - 1, 1e-9)
+    return np.linspace(-start / steps, (n - 1 - start) / steps, n)
 
 
 def _product(fields: list[FieldMap], y: Array, x: Array) -> Array:
