@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
+from tests.real_data import real_data
 
 from napari_mufasa import files
 from napari_mufasa.chance.streams import Streams
@@ -12,12 +14,11 @@ from napari_mufasa.effects import effect_class
 from napari_mufasa.model.model import Model
 from napari_mufasa.simulate.scene import build_scene
 
-from ..real_data import real_data
-
 BELIEVED = Path(__file__).parents[2] / "docs" / "models" / "polymerase_ixon888.json"
 OFFSET_ADU = 433
 
 
+@pytest.mark.realdata
 def test_uneven_light_seen_in_a_part_of_the_field_is_that_of_the_beam_in_all_of_it():
     model = Model.from_json(BELIEVED)
     movie, dark = (files.load(real_data(f"polymerase_ixon888_{name}.tif")) for name in ("emccd", "dark"))
