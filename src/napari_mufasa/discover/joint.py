@@ -58,7 +58,7 @@ def brought(library: Library, state: State, x: Array, kinds: Sequence[str], most
     model = state.model_at(state.adjusted(x).moves)
     if state.far_off(x):
         model = nearer(library, state, model, x)
-    return descended(library, state, model, x, most - _around(state.free, model, kinds), below)
+    return descended(library, state, model, x, most - _around(library, state, kinds), below)
 
 
 def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Library | None:
@@ -68,7 +68,7 @@ def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Lib
     here = library.base
     if not _promises(here, x):
         return None
-    there = descended(library, here, here.model, x, most - _around(here.free, here.model, kinds))
+    there = descended(library, here, here.model, x, most - _around(library, here, kinds))
     if there.model is here.model or not _seen(library, there, there.model, UNSEEN).misfit(x) < DEEPER * here.misfit(x):
         return None
     return seen_from(library, there.model, kinds)
@@ -82,17 +82,16 @@ def seen_from(library: Library, model: Model, kinds: Sequence[str]) -> Library:
     return neighbourhood.build(library.bench, model, others, added, library.base.values, library.rays)
 
 
-def _around(free: Sequence[str], model: Model, kinds: Sequence[str]) -> int:
-    """How many simulations a neighbourhood takes at most."""
-    known = {effect.kind for effect in model.effects}
-    return neighbourhood.expected_simulations([kind for kind in kinds if kind not in known], len(free), model)
+def _around(library: Library, state: State, kinds: Sequence[str]) -> int:
+    """How many simulations the neighbourhood takes at most."""
+    return neighbourhood.further_simulations(library, kinds, len(state.free), state.model)
 
 
 def settling_simulations(library: Library, kinds: Sequence[str], n_free: int, model: Model) -> int:
-    """How many simulations `settled` makes at most, `kinds` lacking."""
+    """How many simulations `settled` makes at most."""
     step = SLOPE_SEEDS * n_free + 2 * STEP_SIMULATIONS
     again = library.bench.matching_simulations + 2 * TRIALS
-    return again + TRIALS + DESCENTS * step + neighbourhood.expected_simulations(kinds, n_free, model)
+    return again + TRIALS + DESCENTS * step + neighbourhood.further_simulations(library, kinds, n_free, model)
 
 
 def nearer(library: Library, state: State, model: Model, x: Array) -> Model:

@@ -35,8 +35,8 @@ PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of th
 class Library:
     """The base state, its paired simulations (simulation, part, observable) and rays.
 
-    without : what is known of the base state without some of its effects · earlier : kinds of effects whose rays are
-    those beside an earlier base state
+    without : what is known of the base state without some of its effects · formed : and with one in another form ·
+    earlier : kinds of effects whose rays are those beside an earlier base state
     """
 
     bench: Bench[Any]
@@ -44,6 +44,7 @@ class Library:
     rows: Array
     rays: dict[str, list[Ray]]
     without: dict[tuple[str, ...], State] = field(default_factory=dict)
+    formed: dict[str, State | None] = field(default_factory=dict)
     earlier: frozenset[str] = frozenset()
 
     def simulated(self, jobs: Sequence[tuple[Model, int]]) -> Array:
@@ -215,6 +216,15 @@ def expected_simulations(kinds: Sequence[str], n_free: int, model: Model) -> int
     """How many simulations `build` makes at most."""
     around = BASE_SIMULATIONS + CHECK_SIMULATIONS + len(HALVES) * UNREAD
     return around + SLOPE_SEEDS * n_free + ray_simulations(kinds, model)
+
+
+def further_simulations(library: Library, kinds: Sequence[str], n_free: int, model: Model) -> int:
+    """How many simulations `build` and a look from there (`renewed`) make at most at a further stand, `kinds` being
+    those that are considered."""
+    lacking = set(kinds) - {effect.kind for effect in model.effects}
+    known = sorted(ray_simulations([kind], model) for kind in lacking if kind in library.rays)
+    rays = sum(known[-RENEWED:]) + ray_simulations([kind for kind in lacking if kind not in library.rays], model)
+    return expected_simulations([], n_free, model) + rays
 
 
 def ray_simulations(kinds: Sequence[str], model: Model) -> int:

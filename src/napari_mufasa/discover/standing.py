@@ -84,7 +84,7 @@ class Standing:
         further ones so that what is in the model can still be judged."""
         stand = self.stand
         n_free = len(stand.state.free) + 2 * n_effects
-        least = library.expected_simulations(self.kinds, n_free, stand.state.model) + 4 * n_free
+        least = library.further_simulations(stand.library, self.kinds, n_free, stand.state.model) + 4 * n_free
         return self.left > n_effects * START + least * (2 if n_effects and self.chosen else 1)
 
     def candidates(self) -> list[Candidate]:

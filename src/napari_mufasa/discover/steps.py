@@ -111,9 +111,8 @@ class Steps(Standing):
             if not self.affords(1):
                 return False
             tries = self._begun_without(kind, stand.rivals_of(kind, RIVAL)[:RIVALS] if waiting is None else ())
-            effect = next(e for e in stand.state.model.effects if e.kind == kind)
-            if not stand.content and (others := [e for e in each_form(effect) if e.chosen != effect.chosen]):
-                tries.append(begun(stand.library, stand.without(kind), others, stand.x))
+            if not stand.content and (formed := self._in_other_forms(kind)) is not None:
+                tries.append(formed)
             if self._replaced(kind, tries, least):
                 return True
         return False
@@ -168,6 +167,17 @@ class Steps(Standing):
         stand = self.stand
         return [started(stand.library, stand.without(kind), case, stand.x) for case in cases]
 
+    def _in_other_forms(self, kind: str) -> State | None:
+        """An effect begun in the best of its other forms in its own place; None where it has none, or none that was
+        kept when it was tried."""
+        stand = self.stand
+        known = stand.library.formed
+        if kind not in known:
+            effect = next(e for e in stand.state.model.effects if e.kind == kind)
+            others = [e for e in each_form(effect) if e.chosen != effect.chosen]
+            known[kind] = begun(stand.library, stand.without(kind), others, stand.x) if others else None
+        return known[kind]
+
     def _replaced(self, kind: str, tries: list[State], more: float) -> bool:
         """Settle the best of `tries`, in each of which something else is in the place of an effect, unless it leaves so
         much `more` misfit; keep it where it explains more."""
@@ -185,6 +195,8 @@ class Steps(Standing):
             return False
         other = self.stands.pop()
         if other.state.surprise(stand.x) > surprise - NEAR or other.error > stand.error:
+            if tries[0] is stand.library.formed.get(kind):
+                stand.library.formed[kind] = None
             return False
         self.stands[-1] = other
         return True
