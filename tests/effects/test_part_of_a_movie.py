@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import napari_mufasa as nm
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.read_off import told_for
@@ -81,6 +82,18 @@ def test_a_model_comes_back_from_the_part_that_a_diagnosis_looked_at():
     assert again.effects_refer_to is None and again.effects == found.effects
     assert Model.from_dict(whole.to_dict()) == whole
     assert bench.restored(measured.model, truth).effects_refer_to is None
+
+
+def test_a_drift_found_in_the_first_frames_is_that_of_the_whole_movie():
+    """Of 750 frames a diagnosis looks at 600: a change of −40 % is one of −32 % there."""
+    believed = plain(n_frames=750, shape=(40, 40), **{"sample.n_molecules": 10})
+    truth = believed.with_effects(effect("laser_drift", change=-0.4))
+    report = nm.refine(simulate(truth, seed=2).movie, believed, [effect("laser_drift", change=-0.2)])
+    (found,) = report.model.effects
+    assert found.change == pytest.approx(-0.32, abs=3 * report.ranking[0].parameters_sd["change"])
+    assert report.model.effects_refer_to == Extent(frames=(0, 0.8))
+    assert any("carries their laws beyond it" in note for note in report.notes)
+    np.testing.assert_allclose(scene_of(report.model).light, scene_of(truth).light, atol=0.04)
 
 
 def test_what_is_read_off_a_part_is_told_for_the_whole():

@@ -200,6 +200,10 @@ def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: 
     notes = []
     if changes := nuisance.told(inquiry.believed, completed):
         notes.append(f"Values of the model fitted beside the effects: {changes}.")
+    if completed.effects_refer_to is not None:
+        notes.append(
+            "Values of the effects speak of the part looked at; the completed model carries their laws beyond it."
+        )
     if len(unknown := table[table["where"] == NOT_HERE].title):
         notes.append(f"Not measurable here, and left out of every error and decision: {'; '.join(unknown)}.")
     if gaps := table[table.observable.isin(inquiry.bench.gaps)].title.tolist():
