@@ -12,7 +12,7 @@ from napari_mufasa.effects.illumination import IlluminationProfile
 from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
-from napari_mufasa.observe.summary import _gap_lengths, _slope
+from napari_mufasa.observe.summary import HIGHEST, _gap_lengths, _slope, trace_kinetics
 from napari_mufasa.observe.table import Table
 from napari_mufasa.simulate.movie import SimulatedAcquisition
 from napari_mufasa.spots.evidence import block_means
@@ -69,6 +69,19 @@ def test_states_of_a_hand_made_trace():
     assert (states.first[0], states.last[0]) == (20, 79)
     assert states.on_level[0] == pytest.approx(100, abs=0.6)  # 50 frames of noise 1: standard error 0.14
     assert _gap_lengths(states.lit) == [10]
+
+
+def test_a_molecule_that_ends_within_the_first_frames_does_not_rule_the_level_of_last_steps():
+    """Most of its movie it is dark: 0.95 of its smoothed trace lie about zero: what it had over that is no level."""
+    rng = np.random.default_rng(1)
+    light = rng.normal(0, 1, (12, 300))
+    light[:6, :150] += 40.0
+    light[6:, :8] += 40.0
+    table = Table()
+    trace_kinetics(table, light, dynamics(light))
+    # Six last steps at the top, at most six at the bound, eight at the usual 0.9.
+    assert (6 + 8 * 0.9) / 20 - 0.05 < table.values["last_level_mean"] < (6 + 6 * HIGHEST + 8 * 0.9) / 20
+    assert max(np.abs(list(table.values.values()))) < 100
 
 
 def test_table_keeps_order():

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 LAGS = (1, 2, 3, 5, 10, 20, 50)
 COUNT_QUANTILES = (0.05, 0.25, 0.75, 0.95)
 BINS = 5  # time bins of the slow courses
+HIGHEST = 1.5  # of its top: a level that is higher tells of the top, not of the level
 LEAST_SNR = 0.3  # per frame: below it what is on and what is off cannot be told
 
 
@@ -213,6 +214,7 @@ def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
     ends = last < 1 - 3 * edge / frames
     before_end = (t > states.last[:, None] - 21) & (t <= states.last[:, None] - 3)
     last_level = (light * before_end).sum(axis=1) / np.maximum(before_end.sum(axis=1), 1) / top[:, 0]
+    last_level = np.clip(last_level, 0.0, HIGHEST)  # who ended within the first frames has no top
     table.add(
         "last_level_mean", _drawn_mean(last_level[ends], 0.9), "level before the last step / top", "", "last steps"
     )
