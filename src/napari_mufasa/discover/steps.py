@@ -71,9 +71,9 @@ class Steps(Standing):
         return False
 
     def prune(self, sure: bool = False) -> set[str]:
-        """Take out what does not earn its place: at once what is worth far less than it needs, then one by one (not
-        where only what is `sure` shall go); what only a whole fit without them can tell is told by one. Returns the
-        kinds taken out."""
+        """Take out what does not earn its place: at once what is worth far less than it needs, if all of it is not worth
+        what one needs, then one by one (not where only what is `sure` shall go); what only a whole fit without them can
+        tell is told by one. Returns the kinds taken out."""
         dropped: set[str] = set()
         at_once = True
         while self.chosen:
@@ -91,7 +91,7 @@ class Steps(Standing):
             if sure and not (at_once and far_less):
                 break
             kinds = far_less if at_once and 0 < len(far_less) < len(stand.added) else order[:1]
-            worth, lesser = self._lesser(kinds, sum(doubtful[k].needed for k in kinds))
+            worth, lesser = self._lesser(kinds, max(doubtful[k].needed for k in kinds))
             if lesser is not None:
                 self.stands[-1] = lesser
                 dropped |= set(kinds)
