@@ -71,9 +71,9 @@ class Steps(Standing):
         return False
 
     def prune(self, sure: bool = False) -> set[str]:
-        """Take out what does not earn its place: at once what is worth far less than it needs, if all of it is not worth
-        what one needs, then one by one (not where only what is `sure` shall go); what only a whole fit without them can
-        tell is told by one. Returns the kinds taken out."""
+        """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
+        worth what one needs, then one by one (not where only what is `sure` shall go); what only a whole fit without
+        them can tell is told by one. Returns the kinds taken out."""
         dropped: set[str] = set()
         at_once = True
         while self.chosen:
