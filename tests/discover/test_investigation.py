@@ -12,6 +12,7 @@ from napari_mufasa.discover.automatic import play
 from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.nuisance import nuisances
+from napari_mufasa.discover.stand import Worth
 from napari_mufasa.effects import catalogue, effect_class
 
 KINDS = ["laser_drift", "row_noise", "background_gradient", "photobleaching"]
@@ -184,6 +185,49 @@ def test_what_is_doubtful_stays_while_only_what_is_surely_useless_shall_go(monke
     assert inquiry.prune(sure=True) == set() and "photobleaching" in inquiry.chosen
     assert inquiry.prune() == {"photobleaching"}
     assert set(inquiry.chosen) == MISSING
+
+
+class Doubted:
+    """Three effects, each worth little beside the others; all together are worth so much, and each needs 20."""
+
+    def __init__(self, together):
+        self.together, self.asked = together, []
+        self.stands = [self._stand(("one", "two", "three", "sure"))]
+
+    def _stand(self, added):
+        doubtful = [kind for kind in added if kind != "sure"]
+        alone = self.together / max(len(doubtful), 1) if len(doubtful) < 3 else 5.0
+        worths = {kind: Worth(alone, 1.5, 20.0) for kind in doubtful} | {"sure": Worth(90.0, 3.0, 20.0)}
+        made = SimpleNamespace(added=added, worths=worths, confirmed=(), is_worth=lambda worth: worth.is_some)
+        made.confirming = lambda kind, worth: SimpleNamespace(**vars(made) | {"confirmed": ((kind, worths[kind]),)})
+        return made
+
+    @property
+    def stand(self):
+        return self.stands[-1]
+
+    @property
+    def chosen(self):
+        return list(self.stand.added)
+
+    def affords(self, n):
+        return True
+
+    def _lesser(self, kinds, needed):
+        self.asked.append((tuple(kinds), needed))
+        left = tuple(kind for kind in self.stand.added if kind not in kinds)
+        evidence = self.together if len(kinds) == 3 else sum(self.stand.worths[kind].evidence for kind in kinds)
+        worth = Worth(evidence, 1.5, needed)
+        return worth, None if worth.is_some else self._stand(left)
+
+
+def test_what_is_worth_little_goes_together_only_where_together_it_is_not_worth_what_one_needs():
+    worthless = Doubted(together=15.0)
+    assert steps.Steps.prune(worthless) == {"one", "two", "three"} and worthless.asked == [
+        (("one", "two", "three"), 20)
+    ]
+    worth_two = Doubted(together=50.0)  # one stands in for the others: it goes, and they are worth 25 each
+    assert steps.Steps.prune(worth_two) == {"one"} and worth_two.chosen == ["two", "three", "sure"]
 
 
 class Climb:
