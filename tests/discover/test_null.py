@@ -46,3 +46,10 @@ def test_calibrated_probabilities_are_even(chances):
     limit = stats.kstwo.isf(1e-3, MOVIES) * np.sqrt(1 + MOVIES / 72)
     for values in chances:
         assert stats.kstest(values, "uniform").statistic < limit
+
+
+def test_what_is_far_below_chance_is_certain_and_no_warning():
+    null = Null.of(np.array([0.0, 0.1, 0.2, 0.1, 0.15]), np.array([90.0, 100.0, 110.0, 95.0, 105.0]))
+    with np.errstate(all="raise"):
+        assert null.evidence.p(-1e6) == 1.0
+    assert 0 < null.evidence.p(3.0) < 0.01 < null.misfit.p(100.0) < 1

@@ -29,7 +29,9 @@ class Tail:
 
     def p(self, value: float) -> float:
         """Probability of more than this."""
-        return float(min(1.0, self.law.sf(value) + (self.freaks > value).sum() / self.among))
+        with np.errstate(over="ignore"):  # far below the law's place it is 1
+            usually = float(self.law.sf(value))
+        return min(1.0, usually + float((self.freaks > value).sum()) / self.among)
 
     def at(self, p: float) -> float:
         """The value that chance exceeds with probability p."""
