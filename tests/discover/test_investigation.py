@@ -315,7 +315,7 @@ def test_what_stands_in_for_something_else_is_exchanged(first):
 @pytest.mark.parametrize(("p_misfit", "verdict"), [(0.5, "adequate"), (1e-4, "unexplained")])
 def test_an_alarm_that_no_fit_confirms_is_chance_unless_the_whole_misfit_is_not(p_misfit, verdict):
     null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_misfit))
-    stand = SimpleNamespace(added=(), null=null, misfit=100.0, needed=20.0, error=1.5, state=SimpleNamespace(floor=1.2))
+    stand = SimpleNamespace(added=(), null=null, misfit=100.0, needed=20.0, error=1.5, far_off=False)
     tried = SimpleNamespace(evidence=10.0, error_after=1.2)
     assert reporting.verdict_of(SimpleNamespace(first=stand, stand=stand, ranking=[tried])) == verdict
     tried.evidence = 30.0  # more than chance brings, and the error falls: that is what is missing
@@ -328,11 +328,12 @@ def test_an_alarm_that_no_fit_confirms_is_chance_unless_the_whole_misfit_is_not(
 )
 def test_an_alarm_that_the_budget_let_nobody_follow_is_no_adequate_model(alarmed, affords, verdict):
     null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: 0.5))
-    state = SimpleNamespace(floor=1.2)
-    stand = SimpleNamespace(added=(), null=null, misfit=100.0, needed=20.0, error=1.5, alarmed=alarmed, state=state)
+    stand = SimpleNamespace(
+        added=(), null=null, misfit=100.0, needed=20.0, error=1.5, alarmed=alarmed, far_off=False
+    )  # fmt: skip
     inquiry = SimpleNamespace(first=stand, stand=stand, ranking=[], affords=lambda n: affords)
     assert reporting.verdict_of(inquiry) == verdict
-    state.floor = 1.0  # whatever chance has been seen to do
+    stand.far_off = True  # whatever chance has been seen to do
     assert reporting.verdict_of(inquiry) == "unexplained"
 
 

@@ -69,8 +69,8 @@ def verdict_of(inquiry: Standing) -> Verdict:
         # An alarm of the emulator that no fit confirms is chance, unless the misfit as a whole is beyond chance, too,
         # or the budget was spent before any fit.
         untried = not tried and stand.alarmed and not inquiry.affords(1)
-        far = stand.error > FAR * stand.state.floor  # whatever chance has been seen to do
-        return "unexplained" if left < MISFIT_ALARM or untried or far else "adequate"
+        # An error far above its floor is not chance, whatever a few simulations have been seen to do.
+        return "unexplained" if left < MISFIT_ALARM or untried or stand.far_off else "adequate"
     share = (first.error - stand.error) / max(first.error - stand.state.floor, 1e-9)
     far = share < EXPLAINED or stand.error > FAR * stand.state.floor
     return "unexplained" if (left < STILL_OFF and far) or _one_is_off(stand.state, stand.x) else "missing_effect"
