@@ -173,6 +173,16 @@ def test_what_comes_to_next_to_none_stays_out_where_it_was_on_trial(inquiry, on_
     assert (kind in near.rays) == on_trial
 
 
+def test_other_forms_are_begun_once_at_a_stand_and_wait_for_what_promises_more():
+    inquiry = investigation()
+    inquiry.add(*HIDDEN)
+    stand, spent = inquiry.stand, inquiry.bench.done
+    assert not inquiry.exchange(waiting=1e9) and inquiry.bench.done > spent
+    spent = inquiry.bench.done
+    assert not inquiry.exchange(waiting=1e9) and inquiry.bench.done == spent
+    assert inquiry.stand.library is stand.library and set(stand.library.formed) == MISSING
+
+
 def test_no_more_than_so_many_effects_are_added():
     report = play(investigation(), 1)
     assert len(report.chosen) == 1 and report.verdict == "unexplained"
