@@ -73,7 +73,7 @@ screenshots: setup ## pictures of the viewer, drawn under Xvfb
 	xvfb-run -a -s "-screen 0 1600x1000x24" $(PY) tools/screenshots.py $(ARGS)
 
 gallery: setup ## pictures of the gallery and of the effects, into docs/images/
-	for script in protocols runtime distances real fingerprints; do $(PY) docs/gallery/$$script.py $(ARGS); done
+	for script in protocols runtime distances trial real fingerprints; do $(PY) docs/gallery/$$script.py $(ARGS); done
 
 docs: setup ## the documentation, into site/
 	$(PY) tools/effects_page.py > docs/.effects.md && mv docs/.effects.md docs/effects.md

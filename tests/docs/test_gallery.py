@@ -17,6 +17,7 @@ SCRIPTS = {
     "protocols": {f"protocol-{name}.png" for name in ("ff", "storm", "palm", "blinking")},
     "runtime": {"runtime.png"},
     "distances": {"distances.png"},
+    "trial": {"trial.png"},
     "real": {"real.png"},
     "fingerprints": {
         f"{k}.png" for k, e in nm.catalogue().items() if e.__module__.startswith("napari_mufasa.effects.")

@@ -150,6 +150,19 @@ def test_the_background_beyond_a_model_is_read_off():
     np.testing.assert_allclose(alike["course"], 1.0, atol=1e-3)
 
 
+def test_background_that_spots_hide_in_a_whole_quarter_is_read_off_and_none_is_told_where_the_model_has_none():
+    """Many molecules leave no background tile for many tiles around: the nearest known stands in."""
+    tiles = np.full((32, 32), 20.0)
+    hidden = tiles.copy()
+    hidden[:16, :16] = np.nan
+    course = np.full(90, 20.0)
+    one = SimpleNamespace(course=course, background_map=hidden)
+    found = background_beyond(one, [one, SimpleNamespace(course=course, background_map=tiles)])
+    np.testing.assert_allclose(found["map"], 1.0, atol=1e-4)
+    dark = SimpleNamespace(course=np.zeros(90), background_map=np.zeros((32, 32)))
+    assert background_beyond(one, [dark]) == {"map": (), "map_columns": 1, "course": ()}
+
+
 def test_what_one_half_shows_does_not_depend_on_the_other():
     """The light of the black tiles grows by half; what is read off the white ones stays what it was."""
     model = small(**{"acquisition.shape_px": (96, 96), "optics.background_photons_per_px": 40.0})

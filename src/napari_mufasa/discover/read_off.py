@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Reader = Callable[[Observation], dict[str, Any]]
 VALUES, FEWEST = 60, 5  # most values of a course, and frames for each: a walk is a walk, not flicker
 SLOW = 0.36  # mean square of a course's steps over its variance: of random walks 97 % have less, of 1/f noise 1.5 %
+LEAST_WEIGHT = 1e-6  # of known tiles under the smoothing window; less: too far from all of them
 SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴
 FEWEST_TILES = 12  # of the background's map that tell a relief
 RELIEF = (
@@ -148,23 +149,28 @@ def relief(observation: Observation) -> dict[str, Any]:
 
 
 def smoothed(tiles: Array) -> Array:
-    """A map without the noise of its tiles, unknown ones (NaN) filled from their neighbours."""
+    """A map without the noise of its tiles, unknown ones (NaN) filled from their neighbours, near or far."""
     known = np.isfinite(tiles)
     weight = ndimage.gaussian_filter(known.astype(float), 1.0, mode="nearest")
     values = ndimage.gaussian_filter(np.where(known, tiles, 0.0), 1.0, mode="nearest")
-    smooth: Array = values / np.maximum(weight, 1e-9)
+    beyond_all = weight < LEAST_WEIGHT
+    nearest = ndimage.distance_transform_edt(beyond_all, return_distances=False, return_indices=True)
+    smooth: Array = (values / np.where(beyond_all, 1.0, weight))[tuple(nearest)]
     return smooth
 
 
 def background_beyond(observation: Observation, model: Sequence[Observation]) -> dict[str, Any]:
-    """`map`, `map_columns` and `course` of the background, relative to what simulations of a model show of it."""
+    """`map`, `map_columns` and `course` of the background, relative to what simulations of a model show of it; ()
+    where they show none."""
     found: dict[str, Any] = {"map": (), "map_columns": 1, "course": ()}
     expected = np.mean([one.course for one in model], axis=0)
-    course = _without_flicker(observation.course / expected)
-    found["course"] = tuple((course / course.mean()).round(4).tolist())
+    if np.all(expected > 0):
+        course = _without_flicker(observation.course / expected)
+        found["course"] = tuple((course / course.mean()).round(4).tolist())
     maps = [smoothed(one.background_map) for one in model if np.isfinite(one.background_map).sum() >= FEWEST_TILES]
-    if np.isfinite(observation.background_map).sum() >= FEWEST_TILES and maps:
-        relative = smoothed(observation.background_map) / np.mean(maps, axis=0)
+    expected_map = np.mean(maps, axis=0) if maps else np.zeros(1)
+    if np.isfinite(observation.background_map).sum() >= FEWEST_TILES and np.all(expected_map > 0):
+        relative = smoothed(observation.background_map) / expected_map
         found["map"] = tuple((relative / relative.mean()).round(4).ravel().tolist())
         found["map_columns"] = relative.shape[1]
     return found
