@@ -166,6 +166,19 @@ def _without(model: Model, kind: str) -> Model:
     return model.model_copy(update={"effects": tuple(e for e in model.effects if e.kind != kind)})
 
 
+def as_seen(settings: Sequence[Effect], seen: Mapping[str, Any]) -> list[Effect]:
+    """Settings with what the measurement shows.
+
+    An axis lies where chance favours it in the measurement, and elsewhere in every base simulation, which is screened
+    alike: of an effect without forms, settings after the first turn from the axis seen.
+    """
+    found = [changed(setting, seen) for setting in settings]
+    if "axis_deg" not in seen or settings[0].choices():
+        return found
+    axes = [(seen["axis_deg"] + 180 * i / len(found)) % 180 for i in range(len(found))]
+    return [changed(effect, {"axis_deg": axis}) for effect, axis in zip(found, axes, strict=True)]
+
+
 def renewed(library: Library, x: Array) -> Library:
     """The neighbourhood with the rays simulated anew that promise most of the measurement x (part, observable)."""
     return with_rays(replace(library, earlier=frozenset()), library.most_promising(x))
@@ -181,8 +194,7 @@ def _rays(library: Library, kinds: Sequence[str]) -> dict[str, list[Ray]]:
     jobs: list[tuple[Effect, int]] = []
     for kind in kinds:
         settings = ray_settings(catalogue()[kind], model, np.random.default_rng([bench.seed, *kind.encode()]))
-        seen = bench.read_off(kind, model)
-        jobs += [(changed(setting, seen), i % 8) for i, setting in enumerate(settings)]
+        jobs += [(effect, i % 8) for i, effect in enumerate(as_seen(settings, bench.read_off(kind, model)))]
     found = library.simulated([(library.beside(library.base, effect), number) for effect, number in jobs])
     rays: dict[str, list[Ray]] = {kind: [] for kind in kinds}
     for (effect, number), row in zip(jobs, found, strict=True):
