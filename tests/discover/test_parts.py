@@ -233,8 +233,8 @@ def test_an_axis_that_chance_favours_alarms_no_more_often_than_chance():
     """Two observables tell where an axis lies. A measurement is judged along the axis that they show in it, base
     simulations by the settings of another measurement: its level that 5 % of them exceed, 5 % of measurements do.
 
-    Along one axis alone it would be chi² of one value against two: exp(−1.92) = 15 %. Of 2000 draws 5 % scatter by
-    0.5 %, the level by as much again."""
+    Along one axis alone it would be chi² of one value against two: exp(−1.92) = 15 %. Of 1000 draws each, the share
+    beyond and the level scatter: by 1 % together, 2 % at 15 %; the bounds are three and two of these from there."""
     state, rng, kind = toy_state(), np.random.default_rng(5), "astigmatism"
     settings = ray_settings(effect_class(kind), nm.preset("EGFP"), np.random.default_rng(1))
 

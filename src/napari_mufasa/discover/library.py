@@ -166,7 +166,7 @@ def _without(model: Model, kind: str) -> Model:
     return model.model_copy(update={"effects": tuple(e for e in model.effects if e.kind != kind)})
 
 
-def as_seen(settings: Sequence[Effect], seen: Mapping[str, Any]) -> list[Effect]:
+def as_seen(settings: Sequence[Effect], seen: dict[str, Any]) -> list[Effect]:
     """Settings with what the measurement shows.
 
     An axis lies where chance favours it in the measurement, and elsewhere in every base simulation, which is screened

@@ -1,4 +1,4 @@
-"""The effects: one physical mechanism each, one module per stage. They change a scene; they know no observable."""
+"""The effects: one physical mechanism each, a module or two per stage. They change a scene; they know no observable."""
 
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.model.registry import catalogue, effect_class, effect_from_data
