@@ -16,6 +16,7 @@ from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.rules import ALARM
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.start import begun, started
+from napari_mufasa.discover.uncertainty import coordinates_sd
 from napari_mufasa.effects import effect_class
 
 P = 60
@@ -106,7 +107,7 @@ def test_a_fit_finds_strength_and_shape_from_a_far_start(bench, fraction, electr
     stand = stand_of(bench, bench.start.with_effects(HOT(fraction=fraction, electrons=electrons)))
     start = HOT(fraction=4e-4 if fraction > 1e-3 else 1e-2, electrons=20.0 if electrons < 20 else 5.0)
     found = after(stand, begun(stand.library, stand.state, [start], stand.x))
-    effect, sd = best(found)["hot_pixels"], found.uncertainties()["hot_pixels"]
+    effect, sd = best(found)["hot_pixels"], found.uncertainties["hot_pixels"]
     assert effect.fraction == pytest.approx(fraction, rel=0.15)
     assert effect.electrons == pytest.approx(electrons, rel=0.15)
     assert 0 < sd["fraction"] < 0.2 * fraction and 0 < sd["electrons"] < 0.2 * electrons
@@ -124,8 +125,41 @@ def test_what_is_stated_is_as_uncertain_as_it_is(bench):
         found = Stand(fitted.library, fitted.added, x, fitted.null, fitted.first)
         for name in inside:
             off = getattr(best(found)["hot_pixels"], name) - getattr(truth, name)
-            inside[name] += abs(off) < 1.96 * found.uncertainties()["hot_pixels"][name]
+            inside[name] += abs(off) < 1.96 * found.uncertainties["hot_pixels"][name]
     assert min(inside.values()) > 32
+
+
+class UnsharedBench(ToyBench):
+    """Chance that models do not share, and electrons that hardly show: slopes are half noise."""
+
+    def __init__(self):
+        super().__init__()
+        self.two = self.two / 5
+
+    def noise(self, model, number):
+        told = [int(b) for b in model.model_dump_json().encode()]
+        return np.random.default_rng([3, number, *told]).standard_normal((3, P))
+
+
+def test_an_estimate_that_follows_the_truth_half_way_is_stated_as_less_certain():
+    """Slopes that are half noise pull estimates towards where the model stands. Of 40 intervals of truths about two
+    standard deviations to either side that hold 95 % each, 32 or fewer hold with a chance below 10⁻³."""
+    bench = UnsharedBench()
+    here = HOT(fraction=5e-3, electrons=10.0)
+    stand = stand_of(bench, bench.start.with_effects(here))
+    near = build(bench, bench.start.with_effects(here), KINDS, ("hot_pixels",))
+    widths = coordinates_sd(near)
+    narrow = np.std([near.base.adjusted(row).moves for row in near.rows], axis=0)[1]
+    inside = {"told": 0, "as_scattered": 0}
+    for number in range(9000, 9040):
+        by = (-1) ** number * 2 * narrow
+        truth = HOT(fraction=5e-3, electrons=10.0 * np.exp(by))
+        x = bench.rows([(bench.start.with_effects(truth), number)])[0]
+        found = Stand(near, ("hot_pixels",), x, stand.null, stand.first)
+        off = abs(np.log(best(found)["hot_pixels"].electrons / truth.electrons))
+        inside["told"] += off < 1.96 * widths[1]
+        inside["as_scattered"] += off < 1.96 * narrow
+    assert inside["told"] > 32 >= inside["as_scattered"]
 
 
 def test_the_floor_is_what_fresh_simulations_score(bench):
@@ -296,7 +330,7 @@ def test_what_is_read_off_is_not_fitted():
     stand = stand_of(bench, bench.start.with_effects(HOT(fraction=5e-3, electrons=10.0)))
     found = after(stand, begun(stand.library, stand.state, [HOT(fraction=2e-3, electrons=12.0)], stand.x))
     assert best(found)["hot_pixels"].electrons == 12.0 and found.state.free == ("hot_pixels.fraction",)
-    assert set(found.uncertainties()["hot_pixels"]) == {"fraction"}
+    assert set(found.uncertainties["hot_pixels"]) == {"fraction"}
     assert found.misfit > usual_misfit()  # 20 % off in what was read off is left as it is
 
 

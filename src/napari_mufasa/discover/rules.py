@@ -59,4 +59,6 @@ UNSEEN = range(TRIALS, 4 * TRIALS)  # those that confirm where a way downhill ha
 SHARES = (1.0, 0.5, 0.25)  # how much of a step downhill is tried
 STEP_SIMULATIONS = TRIALS * len(SHARES)  # of a step at most
 REMOVALS = 6  # of a model without one of its effects
+FOLLOWED = 32  # with all free values moved, that tell how far fits follow
+LEAST_FOLLOWED = 0.2  # … of which no less is believed
 FINITE = 0.03  # relative uncertainty of a parameter that this finite number of simulations leaves

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover import joint
-from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.rules import (
@@ -19,7 +18,6 @@ from napari_mufasa.discover.rules import (
     AT_ONCE,
     BESIDE,
     CONTENT,
-    FINITE,
     FORM_FIRST,
     FURTHER,
     MISFIT_ALARM,
@@ -30,11 +28,11 @@ from napari_mufasa.discover.rules import (
     SURE,
 )
 from napari_mufasa.discover.state import Lead, Ray, State
+from napari_mufasa.discover.uncertainty import parameters_sd
 from napari_mufasa.effects import effect_class
 
 Array = NDArray[np.float64]
 Case = list[Lead]  # one effect's: the leads of its forms, the best first
-WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
 
 
 @dataclass(frozen=True)
@@ -200,25 +198,10 @@ class Stand:
         usual = float(np.median([self.state.misfit(row) for row in self.library.base.check]))
         return float(max(1.0, self.misfit / usual) ** 0.5)
 
+    @cached_property
     def uncertainties(self) -> dict[str, dict[str, float]]:
-        """Standard deviations of the free parameters of each added effect: how much fits of simulations of the model
-        scatter, at least what the linear theory says, and that of the finite number of simulations."""
-        state = self.state
-        n = len(state.values)
-        prior = np.concatenate([state.prior[:n], np.full(len(state.free) - n, WIDE)])
-        loose = replace(state, prior=prior)
-        scatter = np.std([loose.adjusted(row).moves for row in (*self.library.rows, *state.check)], axis=0, ddof=1)
-        slope = state.whiten[0] @ (state.slopes[0] / state.spread[0][:, None])
-        linear = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope + np.diag(1 / prior**2))))
-        widths = np.maximum(scatter, linear) * self.birge
-        effects = {effect.kind: effect for effect in state.model.effects}
-        found: dict[str, dict[str, float]] = {kind: {} for kind in self.added}
-        for path, sd in zip(state.free[n:], widths[n:], strict=True):
-            kind, name = path.rsplit(".", 1)
-            coordinate = next(c for c in Coordinate.of(effects[kind], state.model) if c.name == name)
-            finite = FINITE * abs(float(getattr(effects[kind], name)))
-            found[kind][name] = float(np.hypot(coordinate.sd(effects[kind], float(sd)), finite))
-        return found
+        """Standard deviations of the free parameters of each added effect, by simulations."""
+        return {kind: {} for kind in self.added} | parameters_sd(self.library, self.birge)
 
 
 def _shared(moves: Array, moved: Array, spread: Array) -> float:

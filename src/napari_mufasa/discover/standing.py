@@ -89,7 +89,7 @@ class Standing:
 
     def candidates(self) -> list[Candidate]:
         """The cases of the effects in the model."""
-        stand, model, sds = self.stand, self.model, self.stand.uncertainties()
+        stand, model, sds = self.stand, self.model, self.stand.uncertainties
         found = []
         for kind in stand.added:
             worth, effect = stand.worths[kind], next(e for e in model.effects if e.kind == kind)

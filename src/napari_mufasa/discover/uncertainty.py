@@ -1,0 +1,73 @@
+"""How uncertain fitted values are: how fits scatter, and how far they follow values that move.
+
+A slope from a few simulations is part noise, and noise in what is fitted with draws estimates towards where the model
+stands (errors in variables: Fuller, Measurement Error Models, 1987, section 1.1). An estimate that goes half the way
+that the truth goes scatters half as much as it is uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import hadamard
+
+from napari_mufasa.discover.coordinates import Coordinate
+from napari_mufasa.discover.library import Library
+from napari_mufasa.discover.rules import FINITE, FOLLOWED, LEAST_FOLLOWED
+from napari_mufasa.discover.state import State
+
+Array = NDArray[np.float64]
+WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
+
+
+def parameters_sd(library: Library, birge: float) -> dict[str, dict[str, float]]:
+    """Standard deviations of the free parameters of each effect of the library's model, `birge` times what
+    simulations of the model say, and that of their finite number."""
+    state, n = library.base, len(library.base.values)
+    effects = {effect.kind: effect for effect in state.model.effects}
+    found: dict[str, dict[str, float]] = {path.rsplit(".", 1)[0]: {} for path in state.free[n:]}
+    if not found:
+        return found
+    widths = coordinates_sd(library) * birge
+    for path, sd in zip(state.free[n:], widths[n:], strict=True):
+        kind, name = path.rsplit(".", 1)
+        coordinate = next(c for c in Coordinate.of(effects[kind], state.model) if c.name == name)
+        finite = FINITE * abs(float(getattr(effects[kind], name)))
+        found[kind][name] = float(np.hypot(coordinate.sd(effects[kind], float(sd)), finite))
+    return found
+
+
+def coordinates_sd(library: Library) -> Array:
+    """(value,) standard deviations of the free values: by how much fits of simulations of the model scatter, at least
+    what the linear theory says, over how far fits follow."""
+    loose = _loose(library.base)
+    fits = np.array([loose.adjusted(row).moves for row in (*library.rows, *loose.check)])
+    slope = loose.whiten[0] @ (loose.slopes[0] / loose.spread[0][:, None])
+    linear = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope + np.diag(1 / loose.prior**2))))
+    widths = np.maximum(fits.std(axis=0, ddof=1), linear)
+    result: Array = widths / _followed(library, loose, fits, widths)
+    return result
+
+
+def _followed(library: Library, loose: State, fits: Array, widths: Array) -> Array:
+    """(value,) the share of the way that each value moves which its estimate moves, by paired simulations with all
+    values moved at once, by two `widths` to either side (rows of a Hadamard matrix: no value answers for another)."""
+    n = len(widths)
+    signs = hadamard(max(FOLLOWED, 1 << n.bit_length()))[:, 1 : n + 1]
+    low, high = (np.clip(step, *loose.room) for step in (-2 * widths, 2 * widths))
+    numbers = np.arange(len(signs)) % len(library.rows)
+    moves = np.where(signs > 0, high, low)
+    rows = library.simulated([(loose.model_at(by), int(k)) for by, k in zip(moves, numbers, strict=True)])
+    answers = np.array([loose.adjusted(row).moves for row in rows]) - fits[numbers]
+    way = (high - low) / 2
+    share = (signs * answers).mean(axis=0) / np.maximum(way, 1e-12)
+    result: Array = np.where(way > 0, np.clip(share, LEAST_FOLLOWED, 1.0), 1.0)
+    return result
+
+
+def _loose(state: State) -> State:
+    """The state with wide priors of the parameters of effects."""
+    n = len(state.values)
+    return replace(state, prior=np.concatenate([state.prior[:n], np.full(len(state.free) - n, WIDE)]))
