@@ -19,6 +19,7 @@ from napari_mufasa.discover.rules import FINITE, FOLLOWED, LEAST_FOLLOWED
 from napari_mufasa.discover.state import State
 
 Array = NDArray[np.float64]
+LINEAR = 0.4  # log units or quarters of the range: as far about as a model is linear
 WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
 
 
@@ -41,22 +42,25 @@ def parameters_sd(library: Library, birge: float) -> dict[str, dict[str, float]]
 
 def coordinates_sd(library: Library) -> Array:
     """(value,) standard deviations of the free values: by how much fits of simulations of the model scatter, at least
-    what the linear theory says, over how far fits follow."""
+    what the linear theory says, over how far fits follow; and no more than the prior allows."""
     loose = _loose(library.base)
     fits = np.array([loose.adjusted(row).moves for row in (*library.rows, *loose.check)])
     slope = loose.whiten[0] @ (loose.slopes[0] / loose.spread[0][:, None])
     linear = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope + np.diag(1 / loose.prior**2))))
     widths = np.maximum(fits.std(axis=0, ddof=1), linear)
-    result: Array = widths / _followed(library, loose, fits, widths)
+    known = _followed(library, loose, fits, widths) / widths
+    result: Array = 1 / np.sqrt(known**2 + 1 / loose.prior**2)
     return result
 
 
 def _followed(library: Library, loose: State, fits: Array, widths: Array) -> Array:
     """(value,) the share of the way that each value moves which its estimate moves, by paired simulations with all
-    values moved at once, by two `widths` to either side (rows of a Hadamard matrix: no value answers for another)."""
+    values moved at once, by two `widths` to either side and no farther than a model is about linear (by rows of a
+    Hadamard matrix, so that no value answers for another)."""
     n = len(widths)
     signs = hadamard(max(FOLLOWED, 1 << n.bit_length()))[:, 1 : n + 1]
-    low, high = (np.clip(step, *loose.room) for step in (-2 * widths, 2 * widths))
+    step = np.minimum(2 * widths, LINEAR)
+    low, high = (np.clip(by, *loose.room) for by in (-step, step))
     numbers = np.arange(len(signs)) % len(library.rows)
     moves = np.where(signs > 0, high, low)
     rows = library.simulated([(loose.model_at(by), int(k)) for by, k in zip(moves, numbers, strict=True)])
