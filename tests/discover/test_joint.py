@@ -349,13 +349,29 @@ def test_a_half_is_judged_by_what_was_read_off_the_other():
     near = build(bench, model, [], ["hot_pixels"])
     x = bench.rows([(truth, 999)])[0]
     state = near.base
-    for held, electrons in ((1, 9.0), (2, 12.0)):  # a half, and what the other half shows
+    for half, electrons in ((1, 12.0), (2, 9.0)):
         other = bench.start.with_effects(HOT(fraction=5e-3, electrons=electrons))
-        np.testing.assert_allclose(state.unread[held], (bench.law(other) - bench.law(model))[held])
-    np.testing.assert_array_equal(state.unread[0], 0.0)
-    assert state.held_out_error(x) > 1.5 * replace(state, unread=0.0).held_out_error(x)  # readings that do not agree
-    assert np.ndim(joint.removed(near, "hot_pixels").unread) == 0  # nothing is read off any more
-    assert np.ndim(build(ToyBench(), model, [], ["hot_pixels"]).base.unread) == 0
+        np.testing.assert_allclose(state.unread[half], bench.law(other) - bench.law(model))
+    assert state.held_out_error(x) > 1.5 * replace(state, unread={}).held_out_error(x)  # readings that do not agree
+    assert joint.removed(near, "hot_pixels").unread == {}  # nothing is read off any more
+    assert build(ToyBench(), model, [], ["hot_pixels"]).base.unread == {}
+
+
+class ScaleBench(HalvesBench):
+    """Only the product of fraction and electrons shows."""
+
+    def law(self, model):
+        shown = sum(np.log(effect.fraction * effect.electrons / 1e-2) for effect in model.effects)
+        return shown * np.stack([self.one[0]] * 3)
+
+
+def test_a_scale_that_the_halves_read_differently_is_fitted_where_it_was_read():
+    bench = ScaleBench()
+    model = bench.start.with_effects(HOT(fraction=5e-3, electrons=10.5))
+    state = build(bench, model, [], ["hot_pixels"]).base
+    x = bench.rows([(model, 999)])[0]
+    assert state.free == ("hot_pixels.fraction",) and np.ptp(state.unread[1] - state.unread[2]) > 5
+    assert state.held_out_error(x) < 1.05 * replace(state, unread={}).held_out_error(x)
 
 
 def test_what_does_not_matter_to_a_form_is_not_free():

@@ -157,7 +157,7 @@ def removed(library: Library, *kinds: str) -> State:
         for kind in kinds:
             state = state.without(kind)
         if not any(library.bench.read_off(effect.kind) for effect in state.model.effects):
-            state = replace(state, unread=0.0)
+            state = replace(state, unread={})
         rows = library.simulated([(state.model, k) for k in range(REMOVALS)])
         mean = state.mean + (rows - library.rows[:REMOVALS]).mean(axis=0)
         library.without[kinds] = replace(state, mean=mean)

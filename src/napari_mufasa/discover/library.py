@@ -145,20 +145,20 @@ def build(
     return with_rays(library, [kind for kind in kinds if kind not in known])
 
 
-def _unread(library: Library, kinds: Sequence[str]) -> Array | float:
+def _unread(library: Library, kinds: Sequence[str]) -> dict[int, Array]:
     """`State.unread` of the base state: what effects of these `kinds` have read off each half alone."""
-    model, bench = library.base.model, library.bench
     if not kinds:
-        return 0.0
-    change = np.zeros_like(library.base.mean)
-    for fit, held in HALVES:
+        return {}
+    model, bench = library.base.model, library.bench
+    change = {}
+    for half, _ in HALVES:
         effects = [
-            changed(e, bench.read_off(e.kind, _without(model, e.kind), PARTS[fit])) if e.kind in kinds else e
+            changed(e, bench.read_off(e.kind, _without(model, e.kind), PARTS[half])) if e.kind in kinds else e
             for e in model.effects
         ]
         other = model.model_copy(update={"effects": tuple(effects)})
         rows = library.simulated([(other, k) for k in range(UNREAD)])
-        change[held] = (rows - library.rows[:UNREAD]).mean(axis=0)[held]
+        change[half] = (rows - library.rows[:UNREAD]).mean(axis=0)
     return change
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,8 +63,8 @@ class State:
     nuisance values (`values`) first, then effect parameters · whiten (part, observable, observable) · check
     (simulation, part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error
     that the model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make ·
-    unread (part, observable) : how the means of the two halves change where what is read off the measurement is read
-    off the other half alone
+    unread : by half, how the mean (part, observable) changes where what is read off the movie is read off it alone;
+    empty where nothing is
 
     An observable that cannot be measured has an infinite (least) spread: whatever it is, it is no residual, and it is
     left out of every score and error.
@@ -81,7 +81,7 @@ class State:
     least_spread: Array
     values: tuple[Nuisance, ...] = ()
     floor: float = 1.0
-    unread: Array | float = 0.0
+    unread: Mapping[int, Array] = field(default_factory=dict)
 
     @property
     def measurable(self) -> NDArray[np.bool_]:
@@ -109,10 +109,10 @@ class State:
 
     def _held_out(self, x: Array, fit: int, held: int) -> Array:
         """Squares of the whitened residuals of one half, free values fitted on the other."""
-        moves = self.adjusted(x, fit).moves
-        mean = (self.mean + self.unread)[held]
+        read = replace(self, mean=self.mean + self.unread.get(fit, 0.0))
+        moves = read.adjusted(x, fit).moves
         still = adjust(
-            x[held], mean + self.slopes[held] @ moves, self.spread[held],
+            x[held], read.mean[held] + self.slopes[held] @ moves, self.spread[held],
             np.zeros((x.shape[1], 0)), np.zeros(0), np.zeros((2, 0)), self.whiten[held], steps=0,
         )  # fmt: skip
         return np.square(still.residual)
