@@ -158,7 +158,8 @@ KNOWN: dict[str, dict[str, Law]] = {
     },
     "row_noise": {
         "independent": Law("rows", {"rms_adu": "rms_adu"}),
-        "banded": Law("drifting_rows", near=True),  # two rows share here, nine there
+        # What rows share ends with the next one here, falls by and by there.
+        "banded": Law("drifting_rows", {"rms_adu": "rms_adu"}, near=True),
         "rare_rows": Law("bursts", {"rms_adu": "rms_adu"}),
     },
     "hot_pixels": {

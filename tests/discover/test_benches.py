@@ -36,6 +36,20 @@ def test_dark_frames_of_cameras_that_differ_in_a_few_pixels_are_not_taken_for_ea
     assert len(bench.simulated._dark) == 2  # made once for each
 
 
+def test_dark_frames_tell_how_the_read_noise_is_mixed_unless_the_model_believed_does():
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 30, "acquisition.shape_px": (48, 48), "sample.n_molecules": 20}
+    )
+    mixed = model.with_effects(effect_class("serial_readout")(share=-0.15, dark_rows=(0.3,)))
+    movie, dark = nm.simulate(mixed, seed=1).movie, nm.simulate_dark(mixed, 40, 2)
+    seen = MovieBench(prepare(movie, model, dark), 1).read_off("serial_readout")
+    assert set(seen) == {"dark_rows", "noise_ratio"}  # the latter of no account then, and not fitted
+    np.testing.assert_allclose(seen["dark_rows"][0], 0.3, atol=6 * 1.2 / np.sqrt(40 * 48 * 48))
+    believed = model.with_values({"camera.read_noise_kernel": (0.3,)})
+    assert MovieBench(prepare(movie, believed, dark), 1).read_off("serial_readout") == {"noise_ratio": 0.0}
+    assert MovieBench(prepare(movie, model, None), 1).read_off("serial_readout") == {}
+
+
 class GapBench(Bench):
     """Noise, of which some numbers are not to be had: "o3" not in the measurement, "o5" not in every simulation of the
     base model, "o7" not where there are hot pixels."""

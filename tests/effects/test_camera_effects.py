@@ -145,14 +145,16 @@ def test_row_noise_is_the_variance_of_row_means(form):
     movie = dark(effect("row_noise", rms_adu=5.0, form=form), n_frames=300, shape=(40, 32))
     assert np.all(movie == movie[:, :, :1])  # one offset per row and frame, nothing else in this dark
     rows = movie[:, :, 0] + 0.5
-    independent = rows.size if form == "rows" else rows.size / 9
+    shared = 0.0 if form == "rows" else np.exp(-1 / 2)  # reach_rows as it is unless told; 40 rows of each frame
+    independent = rows.size * (1 - shared**2) / (1 + shared**2)  # products of rows
     assert rows.var() == pytest.approx(25 + 1 / 12, rel=4 * np.sqrt(2 / independent))
-    assert rows.mean() == pytest.approx(0, abs=4 * 5 / np.sqrt(rows.size / (1 if form == "rows" else 9)))
+    assert rows.mean() == pytest.approx(0, abs=4 * 5 / np.sqrt(rows.size * (1 - shared) / (1 + shared)))
+    np.testing.assert_allclose(rows.var(axis=0), 25, rtol=5 * np.sqrt(2 / 300))  # from the first row on
     between_frames = np.mean(rows[1:] * rows[:-1]) / 25
     assert abs(between_frames) < 4 / np.sqrt(independent)
-    between_rows = np.mean(rows[:, 1:] * rows[:, :-1]) / 25
-    expected = 0.0 if form == "rows" else 8 / 9
-    assert between_rows == pytest.approx(expected, abs=4 * (1 + expected) / np.sqrt(independent))
+    for lag in (1, 2):
+        between_rows = np.mean(rows[:, lag:] * rows[:, :-lag]) / 25
+        assert between_rows == pytest.approx(shared**lag, abs=4 * (1 + shared**lag) / np.sqrt(independent))
 
 
 def test_bursts_hit_their_share_of_rows():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_dark
+from napari_mufasa.calibrate.rows import dark_rows
 from napari_mufasa.camera.readout import along_rows, code_begins, row_kernel
 
 from .helpers import ccd, cmos, effect, plain, scene_of
@@ -99,8 +100,7 @@ def test_a_kernel_is_known_from_its_correlations(kernel):
 def test_dark_rows_as_measured_beside_a_share_of_the_light():
     """What an iXon 888 shows: light lags by one pixel, read noise rings over several."""
     seen = np.array([0.087, -0.069, -0.136])
-    kernel = tuple(row_kernel(seen))
-    added = effect("serial_readout", share=-0.165, noise_kernel=kernel)
+    added = effect("serial_readout", share=-0.165, dark_rows=seen.tolist())
     noisy = {"camera.read_noise_e": 10.0}
     movie = dark(added, **noisy)
     z = inner(movie, skip=3)
@@ -113,6 +113,26 @@ def test_dark_rows_as_measured_beside_a_share_of_the_light():
     total = signal + 100 * np.array([1, *seen])
     for lag in (1, 2, 3):
         assert correlation(z, lag) == pytest.approx(total[lag] / total[0], abs=5 / np.sqrt(z.size))
+
+
+@pytest.mark.parametrize("offset_adu", [0.0, 6.0])
+def test_dark_frames_show_how_rows_are_correlated_and_an_offset_of_rows_is_no_correlation(offset_adu):
+    seen = np.array([0.087, -0.069, -0.136])
+    added = effect("serial_readout", share=-0.165, dark_rows=seen.tolist()), effect("row_noise", rms_adu=offset_adu)
+    found = np.array(dark_rows(dark(*added, **{"camera.read_noise_e": 10.0})))
+    sd = 1 / np.sqrt(60 * 40 * 64)
+    np.testing.assert_allclose(found[:3], seen, atol=6 * sd)
+    assert np.all(np.abs(found[3:]) < 6 * sd)
+    assert dark_rows(dark(added[1], **{"camera.read_noise_e": 10.0})) == (0.0,)
+
+
+@pytest.mark.parametrize("share", [-0.165, 0.12])
+def test_spurious_electrons_are_mixed_as_light_and_the_read_noise_has_the_rest_of_what_the_dark_shows(share):
+    seen = np.array([0.087, -0.069, -0.136])
+    added = effect("serial_readout", share=share, dark_rows=seen.tolist())
+    z = inner(dark(added, **{"camera.read_noise_e": 10.0, "camera.clock_induced_charge_e": 40.0}), skip=4)
+    for lag, law in enumerate([*seen, 0.0], 1):
+        assert correlation(z, lag) == pytest.approx(law, abs=5 / np.sqrt(z.size))
 
 
 def test_the_share_comes_from_the_left_and_sums_to_the_signal():

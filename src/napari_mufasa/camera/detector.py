@@ -172,6 +172,11 @@ def multiplication_noise(camera: Camera) -> float:
     return 2.0 if camera.type == "EMCCD" else 1.0
 
 
+def charge_variance_e2(camera: Camera) -> float:
+    """Variance of what spurious electrons leave at the output of the register, in output electrons squared."""
+    return multiplication_noise(camera) * float(camera.em_gain or 1.0) ** 2 * camera.clock_induced_charge_e
+
+
 def _multiplication_law(excess: float, nothing_lost: bool) -> tuple[float, float]:
     """Shape of the Gamma law and share that is kept as it came, for an excess noise factor F² (see `detect`)."""
     if nothing_lost and 1.0 < excess < 2.0:

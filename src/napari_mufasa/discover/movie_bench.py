@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from napari_mufasa.calibrate.codes import code_widths
+from napari_mufasa.calibrate.rows import dark_rows
 from napari_mufasa.discover import curves, nuisance
 from napari_mufasa.discover.bench import Bench, Job, as_table
 from napari_mufasa.discover.measurement import Measurement
@@ -105,12 +107,24 @@ class MovieBench(Bench[Observation]):
     def read_off(self, kind: str, beside: Model | None = None, part: str = "all") -> dict[str, Any]:
         if kind == "converter_codes":
             return {"widths": self._code_widths(part)}
+        if kind == "serial_readout":
+            return self._rows
         if kind == "background_as_measured":
             found = self._background_beyond(beside or self.start)[part]
         else:
             found = read_off(kind, self.measured.only(part))
         extent = self.start.effects_refer_to
         return found if extent is None else told_for(extent, found)
+
+    @cached_property
+    def _rows(self) -> dict[str, Any]:
+        """How the read noise is mixed along rows, which no fit has to tell where there are dark frames."""
+        dark = self.measurement.dark
+        if dark is None:
+            return {}
+        if self.start.camera.read_noise_kernel:
+            return {"noise_ratio": 0.0}  # the model believed mixes it as it is
+        return {"dark_rows": dark_rows(dark), "noise_ratio": 1.0}
 
     def _code_widths(self, part: str) -> tuple[float, ...]:
         if part not in self._widths:

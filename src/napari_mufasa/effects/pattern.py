@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from napari_mufasa.camera.detector import Stack
 from napari_mufasa.model.effect import Effect, parameter
@@ -103,17 +104,24 @@ class RowNoise(Effect):
         0.1, gt=0, le=1, plausible=(0.03, 0.5), unit="", log=True, description="share of rows that are hit",
         forms=("bursts",),
     )  # fmt: skip
+    reach_rows: float = parameter(
+        2.0, gt=0, le=1000, plausible=(0.5, 20), unit="rows", log=True,
+        description="rows after which neighbours' offsets have lost all but 1/e of what they share",
+        forms=("drifting_rows",),
+    )  # fmt: skip
     form: Literal["rows", "drifting_rows", "bursts"] = "rows"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         rms, height = self.rms_adu * scene.setup.camera.electrons_per_adu, scene.shape_px[0]
+        kept = np.exp(-1 / self.reach_rows)
 
         def add(electrons: Stack, frames: Frames) -> Stack:
             for i, f in enumerate(frames):
                 draw = scene.streams.of("row noise", int(f))
                 noise = rms * draw.standard_normal(height)
-                if self.form == "drifting_rows":  # neighbouring rows share their offset
-                    noise = np.convolve(np.pad(noise, 4, mode="wrap"), np.ones(9) / 3, mode="valid")
+                if self.form == "drifting_rows":  # each row's offset, of the same rms, keeps a part of the one before
+                    noise[1:] *= np.sqrt(1 - kept**2)
+                    noise = signal.lfilter([1.0], [1.0, -kept], noise)
                 elif self.form == "bursts":  # interference that comes now and then
                     noise *= (draw.random(height) < self.hit_share) / np.sqrt(self.hit_share)
                 electrons[i] += noise[:, None].astype(np.float32)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from napari_mufasa.camera.detector import Stack
-from napari_mufasa.camera.readout import along_rows, code_begins, noise_along_rows
+from napari_mufasa.camera.detector import Stack, charge_variance_e2, read_noise_map_e
+from napari_mufasa.camera.readout import along_rows, code_begins, noise_along_rows, row_kernel
 from napari_mufasa.model.effect import Effect, parameter
-from napari_mufasa.model.setup import Setup
+from napari_mufasa.model.setup import Camera, Setup
 from napari_mufasa.simulate.scene import Scene
 
 STAGE = "camera"
@@ -46,11 +46,10 @@ class SerialReadout(Effect):
         1.0, ge=-5, le=5, plausible=(-1.5, 1.5), unit="",
         description="share of the read noise over that of the signal; noise from behind the amplifier has another",
     )  # fmt: skip
-    noise_kernel: tuple[float, ...] = Field(
-        (),
-        description="read noise of the pixel itself and of those before it, as dark frames show (see `row_kernel`); "
-        "() after noise_ratio",
-    )
+    dark_rows: tuple[float, ...] = Field(
+        (), description="correlation of neighbours in dark frames, by distance, as seen: the read noise makes it, and "
+        "noise_ratio tells nothing; () where it does",
+    )  # fmt: skip
     form: Literal["one_pixel", "tail"] = "one_pixel"
 
     @classmethod
@@ -64,6 +63,18 @@ class SerialReadout(Effect):
         tail = np.exp(-np.arange(int(np.ceil(7 * self.tail_px)) + 1) / self.tail_px)  # cut at 1e-3
         return np.concatenate([[1.0], share * tail / tail.sum()])
 
+    def noise_kernel(self, camera: Camera) -> NDArray[np.float64]:
+        """The same of the read noise: where dark frames show it, it has what spurious electrons, which are mixed as
+        light is, do not account for."""
+        if not self.dark_rows:
+            return self.kernel(float(np.clip(self.share * self.noise_ratio, SHORTEST, LONGEST)))
+        light = self.kernel(self.share) / (1 + self.share)
+        light = np.pad(light, (0, max(len(self.dark_rows) + 1 - len(light), 0)))
+        spurious = charge_variance_e2(camera) * np.correlate(light, light, "full")[len(light) - 1 :]
+        read = float(np.mean(np.square(read_noise_map_e(camera))))
+        seen = np.pad(self.dark_rows, (0, len(light) - 1 - len(self.dark_rows))) * (read + spurious[0])
+        return row_kernel((seen - spurious[1:]) / max(read, 1e-9))
+
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         if self.share == 0:
             return
@@ -71,9 +82,7 @@ class SerialReadout(Effect):
         # which dark frames tell.
         signal = self.kernel(self.share)
         signal = signal / signal.sum()
-        noise = self.kernel(float(np.clip(self.share * self.noise_ratio, SHORTEST, LONGEST)))
-        if any(self.noise_kernel):
-            noise = np.array(self.noise_kernel)
+        noise = self.noise_kernel(scene.setup.camera)
         noise = noise / np.sqrt(np.sum(noise**2))
         mean_e = np.float32(scene.setup.camera.read_noise_mean_e)
         scene.sensor.amplifier.append(lambda e, frames: along_rows(e, signal))
