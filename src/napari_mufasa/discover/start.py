@@ -54,14 +54,12 @@ def begun(library: Library, state: State, starts: Sequence[Effect], x: Array) ->
 
 
 def _best_shape(library: Library, state: State, starts: Sequence[Effect], known: set[str], x: Array) -> Effect:
-    """What explains most: one of `starts`, or one of them in a few shapes across the plausible range of each shape
-    parameter that is not `known`; each parameter is varied once."""
+    """What explains most: one of `starts`, or one of them in a few shapes across the plausible range of each of its
+    shape parameters that is not `known`: forms are compared where each of them is at its best."""
     trials, start = list(starts), starts[0]
     plausible, known = type(start).plausible(state.model), known | {start.strength}
     for trial in starts:
-        new = [c.name for c in Coordinate.of(trial, state.model) if c.name not in known]
-        known = known.union(new)
-        for name in new:
+        for name in (c.name for c in Coordinate.of(trial, state.model) if c.name not in known):
             low, high, log = plausible[name]
             for u in SHAPES:
                 value = low * (high / low) ** u if log else low + (high - low) * u
