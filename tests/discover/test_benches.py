@@ -42,7 +42,9 @@ def test_dark_frames_tell_how_the_read_noise_is_mixed_unless_the_model_believed_
     )
     mixed = model.with_effects(effect_class("serial_readout")(share=-0.15, dark_rows=(0.3,)))
     movie, dark = nm.simulate(mixed, seed=1).movie, nm.simulate_dark(mixed, 40, 2)
-    seen = MovieBench(prepare(movie, model, dark), 1).read_off("serial_readout")
+    bench = MovieBench(prepare(movie, model, dark), 1)
+    assert bench.size == movie.size + dark.size  # what a simulation costs: it has dark frames, too
+    seen = bench.read_off("serial_readout")
     assert set(seen) == {"dark_rows", "noise_ratio"}  # the latter of no account then, and not fitted
     np.testing.assert_allclose(seen["dark_rows"][0], 0.3, atol=6 * 1.2 / np.sqrt(40 * 48 * 48))
     believed = model.with_values({"camera.read_noise_kernel": (0.3,)})

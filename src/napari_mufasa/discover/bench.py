@@ -117,6 +117,12 @@ class Bench(ABC, Generic[Seen]):
     def names(self) -> tuple[str, ...]:
         return self.measured.names
 
+    @property
+    def size(self) -> int:
+        """Pixels times frames of a simulation."""
+        timing = self.start.acquisition
+        return timing.n_frames * int(np.prod(timing.shape_px))
+
     def least_spread(self) -> Array:
         """(observable,) the least standard deviation that each is credited with."""
         return spread_floor(self.names)

@@ -90,6 +90,11 @@ class MovieBench(Bench[Observation]):
     def simulated(self) -> SimulatedMovies:
         return self._simulated
 
+    @property
+    def size(self) -> int:
+        dark = self.measurement.dark
+        return super().size + (0 if dark is None else dark.size)
+
     def free_values(self, model: Model) -> list[Nuisance]:
         return nuisance.nuisances(model)
 

@@ -31,9 +31,7 @@ class Standing:
         self._started = time.monotonic()
         self.bench, self.believed, self.seed = bench, believed, bench.seed
         self.kinds, self.further = kinds, further
-        timing = bench.start.acquisition
-        affordable = min(BUDGET, BUDGET_VALUES // (timing.n_frames * int(np.prod(timing.shape_px))))
-        self.budget = affordable if budget is None else budget
+        self.budget = min(BUDGET, BUDGET_VALUES // bench.size) if budget is None else budget
         self.stands: list[Stand] = []
         self.ranking: list[Candidate] = []
 
