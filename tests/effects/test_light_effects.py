@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_emission
-from napari_mufasa.discover.read_off import course_of, light_course, light_step, relief
+from napari_mufasa.discover.read_off import course_of, light_course, light_period, light_step, relief
 
 from .helpers import ccd, effect, plain, scene_of
 
@@ -246,6 +246,35 @@ def test_light_that_wanders_follows_the_course_it_is_given():
     np.testing.assert_array_equal(scene_of(plain(n_frames=401).with_effects(other)).light, light)
     falling = effect("laser_drift", change=-0.4, form="wandering", course=seen)
     np.testing.assert_allclose(scene_of(plain(n_frames=401).with_effects(falling)).light, 2 - light, atol=1e-12)
+
+
+def shown(light, noise, rng):
+    """Background and spots in the same light, each with noise of its own."""
+    course, spots = light + noise * rng.standard_normal((2, len(light)))
+    return types.SimpleNamespace(course=course, together=lambda: spots)
+
+
+@pytest.mark.parametrize("form", ["sine", "square"])
+@pytest.mark.parametrize("period", [3.1, 9.0, 27.0])
+def test_a_period_is_read_off_the_light_beside_a_drift_and_flicker(period, form):
+    """300 frames, flicker and noise half as strong as the swing: the period's sd is 0.5 % at most (draws)."""
+    swing = effect("periodic_modulation", amplitude=0.02, period_frames=period, form=form)
+    others = effect("laser_drift", change=-0.4), effect("laser_flicker", rms=0.007)
+    light = scene_of(plain(n_frames=300).with_effects(swing, *others)).light
+    seen = light_period(shown(light, 0.007, np.random.default_rng(4)))
+    assert seen["period_frames"] == pytest.approx(period, rel=0.025)
+
+
+def test_light_without_a_period_has_none():
+    """At most one in a thousand walks, flickers or drifts has one (4000 draws each): five of 1200 with chance 0.008."""
+    rng, told, n = np.random.default_rng(5), 0, 300
+    pink = 1 / np.sqrt(np.maximum(np.fft.rfftfreq(n), 1 / n))
+    for _ in range(300):
+        walk = np.cumsum(rng.standard_normal(n))
+        flicker = np.fft.irfft(pink * np.fft.rfft(rng.standard_normal(n)), n)
+        lights = walk, flicker, 3 * rng.standard_normal(n), np.linspace(0, 30, n)
+        told += sum(light_period(shown(light, 1.0, rng)) != {} for light in lights)
+    assert told < 5
 
 
 def test_a_course_is_seen_where_readings_agree_and_only_there():

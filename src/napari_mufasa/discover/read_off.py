@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pywt
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, signal
 
 from napari_mufasa.effects.courses import stepwise
 from napari_mufasa.model.extent import Extent
@@ -32,6 +32,8 @@ RELIEF = (
 # 0.42 at most in 20 000 draws, on 6 × 6 tiles one in 80 passes
 PATH_VALUES, PRECISE_PX = 30, 0.03  # most values of a path, and how precise each should be
 FIFTHS = 5
+FINER, NEARBY, FEWEST_CYCLES = 8, 20, 4  # of a spectrum: grid over that of the movie's length, width of what is nearby
+PEAK = 40.0  # sum of two spectra over what is usual: of 4000 flickers or drifts at most 4 reach it
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variate
 
 
@@ -120,6 +122,24 @@ def light_step(observation: Observation) -> dict[str, float]:
 
 def light_step_and_course(observation: Observation) -> dict[str, Any]:
     return light_step(observation) | light_course(observation)
+
+
+def light_period(observation: Observation) -> dict[str, float]:
+    """`period_frames` of a swing that background and spots have in common; nothing where none stands out.
+
+    The highest peak of their power spectra (straight line taken off, Hann window), each over its median nearby, which
+    noise of any slowly changing colour exceeds alike.
+    """
+    n = len(observation.course)
+    frequency = np.fft.rfftfreq(FINER * n)
+    power = np.zeros(len(frequency))
+    for light in (observation.course, observation.together()):
+        found = np.abs(np.fft.rfft(signal.detrend(light) * np.hanning(n), FINER * n)) ** 2
+        usual = ndimage.median_filter(found, size=FINER * NEARBY, mode="mirror") / np.log(2)
+        power += found / np.maximum(usual, 1e-12 * found.max() + 1e-300)
+    power[frequency < FEWEST_CYCLES / n] = 0.0
+    peak = int(np.argmax(power))
+    return {"period_frames": float(1 / frequency[peak])} if power[peak] > PEAK and frequency[peak] < 0.5 else {}
 
 
 def bright_side_and_relief(observation: Observation) -> dict[str, Any]:
@@ -230,6 +250,7 @@ READERS: dict[str, Reader] = {
     "laser_drift": light_step_and_course,
     "baseline_drift": light_step_and_course,
     "background_decay": light_course,
+    "periodic_modulation": light_period,
     "stage_drift": common_path,
     "focus_drift": width_course,
     "astigmatism": long_axis,
