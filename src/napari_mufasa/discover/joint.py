@@ -164,6 +164,13 @@ def removed(library: Library, *kinds: str) -> State:
     return library.without[kinds]
 
 
+def lacking(library: Library, state: State, kind: str) -> State:
+    """A state begun from the library's without one of the effects begun, the others where they are."""
+    bare = state.without(kind)
+    begun = bare.model.effects != library.base.model.effects
+    return _seen(library, bare, bare.model) if begun else library.base
+
+
 def _seen(library: Library, state: State, model: Model, seeds: range = range(TRIALS)) -> State:
     """The state with the model in its place, its mean by a few simulations."""
     rows = library.simulated([(model, k) for k in seeds])

@@ -19,6 +19,7 @@ from napari_mufasa.discover.rules import (
     BESIDE,
     CONTENT,
     FORM_FIRST,
+    FORM_WORTH,
     FURTHER,
     MISFIT_ALARM,
     NOT_RISEN,
@@ -124,14 +125,16 @@ class Stand:
                 break
             first, *others = sorted(clear, key=lambda k: -leads[k][0].gain)
             best = leads[first][0]
-            alike = [k for k in others if leads[k][0].gain > RIVAL * best.gain and self._alike(leads[k][0], best)]
+            alike = [k for k in others if self._vies(leads[k][0], best)]
             found.append([leads[kind] for kind in (first, *alike[:RIVALS])])
             del rays[first]
         return found
 
-    def _alike(self, lead: Lead, other: Lead) -> bool:
-        """Do two leads move the same things as far?"""
-        return _shared(lead.shift, other.shift, self.state.spread) > ALIKE
+    def _vies(self, lead: Lead, best: Lead) -> bool:
+        """Does a lead promise about as much as the best, and move the same things as far? One whose settings end where
+        it promises most may come to more than it promises."""
+        share = FORM_WORTH if lead.may_be_stronger and not best.may_be_stronger else RIVAL
+        return lead.gain > share * best.gain and _shared(lead.shift, best.shift, self.state.spread) > ALIKE
 
     def _least(self, lead: Lead, taken: Sequence[Lead]) -> float:
         """What a lead must promise beside those that are taken up already."""

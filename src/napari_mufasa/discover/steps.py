@@ -42,14 +42,18 @@ class Steps(Standing):
             self.stands[-1] = replace(stand, library=library.renewed(stand.library, stand.x))
 
     def take_up(self, groups: Sequence[Sequence[Case]]) -> set[str]:
-        """Fit promising effects into the model together, of each group the one that explains most once it is started.
-        Returns the kinds that stay out: what comes to next to none, and where all together explain nothing (the step
-        is taken back) all but the first, or an only one."""
+        """Fit promising effects into the model together, of each group the one that explains most once it is started
+        beside the first ones of the others. Returns the kinds that stay out: what comes to next to none, and where all
+        together explain nothing (the step is taken back) all but the first, or an only one."""
         stand, state = self.stand, self.stand.state
         self.bench.plan(sum(len(group) for group in groups) * START + self._settling(len(groups)))
-        for group in groups:
-            tries = [started(stand.library, state, case, stand.x) for case in group if _kind(case) not in _kinds(state)]
-            state = min(tries, key=lambda tried: tried.surprise(stand.x), default=state)
+        for first, *_ in groups:
+            state = started(stand.library, state, first, stand.x)
+        for first, *others in groups:
+            if others := [case for case in others if _kind(case) not in _kinds(state)]:
+                bare = joint.lacking(stand.library, state, _kind(first))
+                tries = [state, *(started(stand.library, bare, case, stand.x) for case in others)]
+                state = min(tries, key=lambda tried: tried.surprise(stand.x))
         kinds = [kind for kind in _kinds(state) if kind not in _kinds(stand.state)]
         if self._settle(state, kinds, stand.misfit):
             if self.stand.misfit < stand.misfit:
