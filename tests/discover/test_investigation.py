@@ -251,7 +251,7 @@ class Climb:
         leads = [[[SimpleNamespace(kind=kind, gain=30.0)]] for kind in self.left[:2]]
         return SimpleNamespace(
             content=False, alarmed=True, far_off=len(self.left) in self.far_off, promising=lambda but: leads,
-            stands_apart=lambda lead: self.apart,
+            stands_apart=lambda lead: self.apart, kin=lambda lead: set(self.chosen[:1]),
         )  # fmt: skip
 
     def take_up(self, leads):
@@ -276,9 +276,9 @@ class Climb:
 
     deepen = widen
 
-    def exchange(self, waiting=None):
+    def exchange(self, waiting=None, kinds=None):
         if waiting is not None:
-            self.told.append(f"forms that promise more than {waiting:.0f}")
+            self.told.append(f"forms of {'all' if kinds is None else min(kinds)} that promise more than {waiting:.0f}")
         return False
 
     def look(self):
@@ -302,7 +302,7 @@ def test_effects_are_judged_near_the_floor_and_once_nothing_more_promises_anythi
 def test_other_forms_come_first_where_they_promise_more_than_all_that_waits():
     told = play(Climb(["one", "two", "three"], far_off=(2, 1), apart=False), None)
     forms = [words for words in told if words.startswith("forms")]
-    assert forms == ["forms that promise more than 60", "forms that promise more than 30"]
+    assert forms == ["forms of one that promise more than 60", "forms of one that promise more than 30"]
     assert told[:3] == ["take up one", forms[0], "take up two"]
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import napari_mufasa as nm
-from napari_mufasa.discover import joint, rules
+from napari_mufasa.discover import joint, rules, steps
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import build
 from napari_mufasa.discover.nuisance import nuisances
@@ -16,6 +16,7 @@ from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.rules import ALARM
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.start import begun, started
+from napari_mufasa.discover.state import SCALES
 from napari_mufasa.discover.uncertainty import coordinates_sd
 from napari_mufasa.effects import effect_class
 
@@ -219,6 +220,55 @@ def test_nothing_is_promising_where_nothing_is_missing(bench):
     for number in range(700, 740):
         alarms += bool(Stand(near, (), bench.rows([(bench.start, number)])[0], null, near.base).promising(set()))
     assert alarms <= stats.binom.isf(0.01, 40, ALARM) == 3
+
+
+class MaskedBench(ToyBench):
+    """Hot pixels lower what column offsets have of their own: without them row noise looks nearer."""
+
+    def __init__(self):
+        super().__init__()
+        self.one = self.one - 0.5 * self.four
+
+
+def test_rivals_are_compared_beside_the_other_effects_that_are_taken_up():
+    bench = MaskedBench()
+    columns = effect_class("column_offset")
+    stand = stand_of(bench, bench.start.with_effects(columns(rms_adu=3.0), HOT(fraction=5e-3, electrons=10.0)))
+    leads, x, taken = stand.leads, stand.x, []
+    alone = {k: started(stand.library, stand.state, leads[k], x).surprise(x) for k in ("row_noise", "column_offset")}
+    assert alone["row_noise"] < alone["column_offset"]
+    asked = SimpleNamespace(
+        stand=stand, bench=bench, _settling=lambda n: 0, _settle=lambda state, *_: taken.append(state)
+    )
+    steps.Steps.take_up(asked, [[leads["row_noise"], leads["column_offset"]], [leads["hot_pixels"]]])
+    assert {effect.kind for effect in taken[0].model.effects} == {"column_offset", "hot_pixels"}
+
+
+def test_a_lead_whose_settings_end_before_it_is_at_its_best_vies_with_less(bench):
+    stand = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0)))
+    best = replace(stand.leads["row_noise"][0], scale=1.0)
+    assert not best.may_be_stronger
+    for share, scale, vies in ((0.3, 1.0, False), (0.6, 1.0, True), (0.3, SCALES[-1], True), (0.1, SCALES[-1], False)):
+        assert stand._vies(replace(best, gain=share * best.gain, scale=scale), best) == vies
+    assert not stand._vies(replace(best, gain=0.3 * best.gain, scale=SCALES[-1]), replace(best, scale=SCALES[-1]))
+
+
+class FormBench(ToyBench):
+    """Hot pixels that switch show as they do; steady ones have something of row noise, too."""
+
+    def law(self, model):
+        steady = [e for e in model.effects if e.kind == "hot_pixels" and e.form == "steady"]
+        return super().law(model) + sum(0.5 * np.log1p(e.fraction / 1e-3) for e in steady) * self.three
+
+
+def test_forms_are_compared_each_in_its_best_shape():
+    """Far from the electrons that are there, steady pixels in the right shape are nearer than switching ones in a
+    wrong one."""
+    bench = FormBench()
+    stand = stand_of(bench, bench.start.with_effects(HOT(fraction=5e-3, electrons=33.0, form="telegraph")))
+    forms = [HOT(fraction=5e-3, electrons=5.0, form=form) for form in ("steady", "telegraph")]
+    found = begun(stand.library, stand.state, forms, stand.x)
+    assert found.model.effects[-1].form == "telegraph"
 
 
 class BentBench(ToyBench):

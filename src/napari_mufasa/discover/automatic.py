@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from napari_mufasa import checks
 from napari_mufasa.discover.investigation import Investigation, TraceInvestigation
 from napari_mufasa.discover.result import Report
+from napari_mufasa.discover.state import Lead
 from napari_mufasa.effects import Effect
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
@@ -134,7 +135,7 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
             break
         apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
         leads = apart or leads
-        if known and not apart and (inquiry.deepen() or inquiry.exchange(sum(cases[0][0].gain for cases in leads))):
+        if known and not apart and (inquiry.deepen() or _in_other_forms(inquiry, [cases[0][0] for cases in leads])):
             dropped = set[str]()
         elif affordable := [leads[:n] for n in range(len(leads), 0, -1) if inquiry.affords(n)]:
             dropped = inquiry.take_up(affordable[0])
@@ -143,6 +144,12 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
         if not inquiry.stand.far_off:
             dropped |= inquiry.prune(sure=True)
         _dismiss(dismissed, dropped, inquiry)
+
+
+def _in_other_forms(inquiry: Investigation, leads: list[Lead]) -> bool:
+    """Other forms of the effects that have moved what these leads move, or else of all that are in the model."""
+    kin = set[str]().union(*(inquiry.stand.kin(lead) for lead in leads))
+    return inquiry.exchange(sum(lead.gain for lead in leads), kin or None)
 
 
 def _dismiss(dismissed: dict[str, set[str]], dropped: set[str], inquiry: Investigation) -> None:

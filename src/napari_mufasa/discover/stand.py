@@ -165,12 +165,14 @@ class Stand:
         return joint.removed(self.library, kind)
 
     def stands_apart(self, lead: Lead) -> bool:
-        """Does it promise much of what is left, and more than what the form of the effects in the model may have left,
-        so far as it moves what they moved?"""
-        moved = self.state.mean - self.first.mean
-        shared = _shared(lead.shift, moved, self.state.spread)
-        explained, left = self.first.misfit(self.x) - self.misfit, self.misfit - float(self.null.misfit.law.median())
-        return lead.gain > FORM_FIRST * max(shared * explained, left)
+        """Does it promise much of what is left, and nothing that the form of an effect in the model may have left?"""
+        left = self.misfit - float(self.null.misfit.law.median())
+        return lead.gain > FORM_FIRST * left and not self.kin(lead)
+
+    def kin(self, lead: Lead) -> set[str]:
+        """The effects in the model that move as far what it moves: it may promise what their form has left."""
+        moved = {kind: self.state.mean - self.without(kind).mean for kind in self.added}
+        return {kind for kind, moves in moved.items() if _shared(lead.shift, moves, self.state.spread) > ALIKE}
 
     def rivals_of(self, kind: str, share: float) -> list[Case]:
         """What promises more than a share of what an added effect is worth, in its place; best first."""

@@ -105,12 +105,12 @@ class Steps(Standing):
                 at_once = False
         return dropped
 
-    def exchange(self, waiting: float | None = None) -> bool:
-        """Try other forms, and rivals, in the place of each effect; keep the first that explains more. What could not
-        be told from an effect is noted with its worth. While others are `waiting` that promise so much: no rivals, and
-        no form that promises less."""
+    def exchange(self, waiting: float | None = None, kinds: set[str] | None = None) -> bool:
+        """Try other forms, and rivals, in the place of each effect (of these `kinds`); keep the first that explains
+        more. What could not be told from an effect is noted with its worth. While others are `waiting` that promise so
+        much: no rivals, and no form that promises less."""
         least = NEAR if waiting is None else -max(waiting, NEAR)
-        for kind in self.stand.added:
+        for kind in self.stand.added if kinds is None else [kind for kind in self.stand.added if kind in kinds]:
             stand = self.stand
             if not self.affords(1):
                 return False
