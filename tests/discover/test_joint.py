@@ -244,6 +244,16 @@ def test_rivals_are_compared_beside_the_other_effects_that_are_taken_up():
     assert {effect.kind for effect in taken[0].model.effects} == {"column_offset", "hot_pixels"}
 
 
+def test_what_moves_the_same_as_an_effect_in_the_model_waits_for_its_forms(bench):
+    """Column offsets look like row noise, hot pixels like neither."""
+    stand = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0), HOT(fraction=5e-3, electrons=10.0)))
+    found = after(stand, begun(stand.library, stand.state, [ROWS(rms_adu=3.0)], stand.x))
+    hot, columns = (found.leads[kind][0] for kind in ("hot_pixels", "column_offset"))
+    assert found.kin(hot) == set() and found.stands_apart(hot)
+    assert found.kin(columns) == {"row_noise"} and not found.stands_apart(replace(columns, gain=hot.gain))
+    assert not found.stands_apart(replace(hot, gain=0.05 * found.misfit))  # little of what is left
+
+
 def test_a_lead_whose_settings_end_before_it_is_at_its_best_vies_with_less(bench):
     stand = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0)))
     best = replace(stand.leads["row_noise"][0], scale=1.0)
