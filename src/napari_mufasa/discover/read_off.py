@@ -80,12 +80,17 @@ def course_of(readings: Array) -> dict[str, Any]:
     noise = readings.var(axis=0, ddof=1).mean() / len(readings)
     if not np.isfinite(mean).all() or mean.var() < SEEN * noise:
         return {"course": ()}
-    mean = mean - mean[0]
-    return {"course": tuple((mean / np.abs(mean).max()).round(4).tolist())}
+    return _from_zero(mean)
+
+
+def _from_zero(values: Array) -> dict[str, Any]:
+    course = values - values[0]
+    return {"course": tuple((course / np.abs(course).max()).round(4).tolist())}
 
 
 def light_course(observation: Observation) -> dict[str, Any]:
-    """`course` of the background, if it changes slowly: what flickers is no drift."""
+    """`course` of the background, if it changes slowly: what flickers is no drift. A walk is told as finely as its
+    steps stand out of the noise of a frame."""
     n = min(VALUES, len(observation.course) // FEWEST)
     if n < FEWEST:
         return {"course": ()}
@@ -93,7 +98,20 @@ def light_course(observation: Observation) -> dict[str, Any]:
     readings = observation.course[: frames * n].reshape(n, frames).T
     mean = readings.mean(axis=0)
     slow = np.mean(np.diff(mean) ** 2) < SLOW * mean.var()
-    return course_of(readings) if slow else {"course": ()}
+    found = course_of(readings) if slow else {"course": ()}
+    length = walk_block(observation.course)
+    if not found["course"] or length >= frames:
+        return found
+    cut = observation.course[: len(observation.course) // length * length]
+    return _from_zero(cut.reshape(-1, length).mean(axis=1))
+
+
+def walk_block(course: Array) -> int:
+    """Frames whose mean is nearest to a walk seen in white noise: their noise is then as large as what it walks away
+    meanwhile. (Steps and noise from differences over one frame and two.)"""
+    one, two = (float(np.mean((course[by:] - course[:-by]) ** 2)) for by in (1, 2))
+    step, noise = two - one, one - two / 2
+    return len(course) if step <= 0 else max(1, round(np.sqrt(6 * max(noise, 0.0) / step)))
 
 
 def light_step(observation: Observation) -> dict[str, float]:

@@ -42,18 +42,25 @@ class Steps(Standing):
             self.stands[-1] = replace(stand, library=library.renewed(stand.library, stand.x))
 
     def take_up(self, groups: Sequence[Sequence[Case]]) -> set[str]:
-        """Fit promising effects into the model together, of each group the one that explains most once it is started
-        beside the first ones of the others. Returns the kinds that stay out: what comes to next to none, and where all
-        together explain nothing (the step is taken back) all but the first, or an only one."""
-        stand, state = self.stand, self.stand.state
+        """Fit promising effects into the model together, of each group the one that explains most once it is started.
+        What is chosen while much is still wrong is compared again, beside the effects of the other groups. Returns the
+        kinds that stay out: what comes to next to none, and where all together explain nothing (the step is taken back)
+        all but the first, or an only one."""
+        stand, state, doubtful = self.stand, self.stand.state, []
         self.bench.plan(sum(len(group) for group in groups) * START + self._settling(len(groups)))
-        for first, *_ in groups:
-            state = started(stand.library, state, first, stand.x)
-        for first, *others in groups:
-            if others := [case for case in others if _kind(case) not in _kinds(state)]:
-                bare = joint.lacking(stand.library, state, _kind(first))
-                tries = [state, *(started(stand.library, bare, case, stand.x) for case in others)]
-                state = min(tries, key=lambda tried: tried.surprise(stand.x))
+
+        def tries(group: Sequence[Case], beside: State) -> list[State]:
+            new = [case for case in group if _kind(case) not in _kinds(state)]
+            return [started(stand.library, beside, case, stand.x) for case in new]
+
+        for group in groups:
+            begun_here = tries(group, state)
+            state = min(begun_here, key=lambda tried: tried.surprise(stand.x), default=state)
+            if len(begun_here) > 1 and state.far_off(stand.x):
+                doubtful.append((_kinds(state)[-1], group))
+        for kind, group in doubtful if len(groups) > 1 else []:
+            others = tries(group, joint.lacking(stand.library, state, kind))
+            state = min([state, *others], key=lambda tried: tried.surprise(stand.x))
         kinds = [kind for kind in _kinds(state) if kind not in _kinds(stand.state)]
         if self._settle(state, kinds, stand.misfit):
             if self.stand.misfit < stand.misfit:
