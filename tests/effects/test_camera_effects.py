@@ -278,6 +278,19 @@ def test_wandering_baseline_stays_within_its_drift():
     assert np.abs(movie - movie[0]).max() == pytest.approx(30, abs=1.0)
 
 
+def test_dark_frames_do_not_share_the_course_that_was_seen_in_the_movie_but_wander_as_far():
+    seen = effect("baseline_drift", drift_adu=30.0, form="wandering", course=(0.0, 1.0, -0.5, 0.2))
+    movie = flat(seen, shape=(64, 64)).mean(axis=(1, 2))
+    at = np.array([12, 37, 62, 87])  # near the middle of each quarter
+    np.testing.assert_allclose(movie[at] - movie[at[0]], [0, 30, -15, 6], atol=2.0)
+    courses = [dark(seen, shape=(64, 64), seed=seed).mean(axis=(1, 2)) for seed in (1, 2, 3)]
+    assert [np.abs(c - c[0]).max() for c in courses] == pytest.approx([30] * 3, abs=1.0)
+    assert all(abs(np.corrcoef(c, movie)[0, 1]) < 0.99 for c in courses)
+    assert np.abs(courses[0] - courses[1]).max() > 10
+    as_long = dark(effect("baseline_drift", drift_adu=30.0), shape=(64, 64)).mean(axis=(1, 2))
+    assert as_long[-1] - as_long[0] == pytest.approx(30, abs=1.0)  # a law goes on in the dark
+
+
 @pytest.mark.parametrize("form", ["points", "tracks"])
 def test_cosmic_rays_come_at_their_rate_with_their_charge(form):
     rate, charge, n_frames = 1.5, 20_000.0, 800

@@ -259,6 +259,10 @@ class BaselineDrift(Effect):
     course: tuple[float, ...] = seen_path()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
+    def in_the_dark(self) -> Effect:
+        """A baseline that wanders does so in dark frames, too, but along a path that the movie does not show."""
+        return self.model_copy(update={"course": ()})
+
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         drift_adu = drifted(self.drift_adu, self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
         offset_e = (drift_adu * scene.setup.camera.electrons_per_adu).astype(np.float32)

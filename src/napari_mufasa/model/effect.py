@@ -82,6 +82,10 @@ class Effect(Values):
         """Change the scene (`simulate.Scene`) in place; `rng` is this effect's own stream."""
         raise NotImplementedError(f"effect {type(self).__name__} does nothing: override apply()")
 
+    def in_the_dark(self) -> Effect:
+        """The effect as dark frames have it, which are taken at another time than the movie."""
+        return self
+
     @classmethod
     def suits(cls, setup: Setup) -> bool:
         """Whether the effect makes sense for this set-up (an EM register needs an EMCCD, …)."""

@@ -199,8 +199,8 @@ def simulate_emission(
 def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint16]:
     """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects.
 
-    The sensor's patterns are those of the movie with the same seed, its noise is not. Raises `MufasaError` for a number
-    of frames or a seed that cannot be used.
+    The sensor's patterns are those of the movie with the same seed, its noise is not, nor is a course that was seen in
+    the movie (`Effect.in_the_dark`). Raises `MufasaError` for a number of frames or a seed that cannot be used.
     """
     checks.whole(n_frames, "n_frames", 1)
     _check(model, 0)
@@ -209,7 +209,8 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
     # Slow courses keep the movie's pace: the dark frames are as if taken at its beginning.
     frames = max(int(n_frames), model.acquisition.n_frames)
     optics = model.optics.model_copy(update={"background_photons_per_px": 0.0})
-    dark_model = model.in_shape(n_frames=frames).model_copy(update={"optics": optics})
+    effects = tuple(effect.in_the_dark() for effect in model.effects)
+    dark_model = model.in_shape(n_frames=frames).model_copy(update={"optics": optics, "effects": effects})
     # The sensor's patterns are the movie's (same seed); its noise is not.
     scene = build_scene(dark_model, np.empty((0, 2)), Streams(seed))
     scene.streams = Streams(seed + 2**32)
