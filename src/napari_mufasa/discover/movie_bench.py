@@ -92,6 +92,7 @@ class MovieBench(Bench[Observation]):
 
     @property
     def size(self) -> int:
+        """Pixels times frames of a simulation and its dark frames."""
         dark = self.measurement.dark
         return super().size + (0 if dark is None else dark.size)
 
@@ -113,7 +114,7 @@ class MovieBench(Bench[Observation]):
         if kind == "converter_codes":
             return {"widths": self._code_widths(part)}
         if kind == "serial_readout":
-            return self._rows
+            return self._dark_rows
         if kind == "background_as_measured":
             found = self._background_beyond(beside or self.start)[part]
         else:
@@ -122,7 +123,7 @@ class MovieBench(Bench[Observation]):
         return found if extent is None else told_for(extent, found)
 
     @cached_property
-    def _rows(self) -> dict[str, Any]:
+    def _dark_rows(self) -> dict[str, Any]:
         """How the read noise is mixed along rows, which no fit has to tell where there are dark frames."""
         dark = self.measurement.dark
         if dark is None:

@@ -56,9 +56,9 @@ class Steps(Standing):
         for group in groups:
             begun_here = tries(group, state)
             state = min(begun_here, key=lambda tried: tried.surprise(stand.x), default=state)
-            if len(begun_here) > 1 and state.far_off(stand.x):
+            if len(groups) > 1 and len(begun_here) > 1 and state.far_off(stand.x):
                 doubtful.append((_kinds(state)[-1], group))
-        for kind, group in doubtful if len(groups) > 1 else []:
+        for kind, group in doubtful:
             others = tries(group, joint.lacking(stand.library, state, kind))
             state = min([state, *others], key=lambda tried: tried.surprise(stand.x))
         kinds = [kind for kind in _kinds(state) if kind not in _kinds(stand.state)]

@@ -80,6 +80,7 @@ class Effect(Values):
 
     def apply(self, scene: Any, rng: np.random.Generator) -> None:
         """Change the scene (`simulate.Scene`) in place; `rng` is this effect's own stream."""
+        # Not abstract: whoever writes a plug-in reads this line, no error about a class that cannot be made.
         raise NotImplementedError(f"effect {type(self).__name__} does nothing: override apply()")
 
     def in_the_dark(self) -> Effect:

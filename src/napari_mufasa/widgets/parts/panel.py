@@ -51,6 +51,7 @@ class Panel(QWidget):
 
     def build(self) -> None:
         """Fill the panel: at least with the form and the run bar."""
+        # Not abstract: Qt's metaclass leaves no room for that of ABC.
         raise NotImplementedError(f"{type(self).__name__} has no build()")
 
     def add(self, *widgets: QWidget, last: QWidget | None = None) -> None:
