@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import operator
@@ -49,6 +50,8 @@ def doomed():
     """A client of workers of its own: what is killed does not always come back, and no other test shall wait for it."""
     with two_workers() as two, client_of(two) as one:
         yield one
+        with contextlib.suppress(TimeoutError):  # a cluster cannot be closed while a process of it is being started
+            one.wait_for_workers(2, timeout=20)
 
 
 def small(n_frames=60):
