@@ -230,6 +230,15 @@ class MaskedBench(ToyBench):
         self.one = self.one - 0.5 * self.four
 
 
+def asking(stand, taken):
+    """What `take_up` asks of an investigation; `taken` gets the states that it would settle."""
+    asked = SimpleNamespace(
+        stand=stand, bench=stand.library.bench, _settling=lambda n: 0, _settle=lambda state, *_: taken.append(state)
+    )
+    asked._promises = lambda *lead: steps.Steps._promises(asked, *lead)
+    return asked
+
+
 def test_rivals_are_compared_beside_the_other_effects_that_are_taken_up():
     bench = MaskedBench()
     columns = effect_class("column_offset")
@@ -237,11 +246,16 @@ def test_rivals_are_compared_beside_the_other_effects_that_are_taken_up():
     leads, x, taken = stand.leads, stand.x, []
     alone = {k: started(stand.library, stand.state, leads[k], x).surprise(x) for k in ("row_noise", "column_offset")}
     assert alone["row_noise"] < alone["column_offset"]
-    asked = SimpleNamespace(
-        stand=stand, bench=bench, _settling=lambda n: 0, _settle=lambda state, *_: taken.append(state)
-    )
-    steps.Steps.take_up(asked, [[leads["row_noise"], leads["column_offset"]], [leads["hot_pixels"]]])
+    steps.Steps.take_up(asking(stand, taken), [[leads["row_noise"], leads["column_offset"]], [leads["hot_pixels"]]])
     assert {effect.kind for effect in taken[0].model.effects} == {"column_offset", "hot_pixels"}
+
+
+def test_what_promises_nothing_more_beside_those_begun_is_not_begun(bench):
+    """Column offsets look like row noise, which is there."""
+    stand, taken = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0))), []
+    assert stand.leads["column_offset"][0].gain > stand.needed  # alone they promise much
+    steps.Steps.take_up(asking(stand, taken), [[stand.leads["row_noise"]], [stand.leads["column_offset"]]])
+    assert [effect.kind for effect in taken[0].model.effects] == ["row_noise"]
 
 
 def test_what_moves_the_same_as_an_effect_in_the_model_waits_for_its_forms(bench):

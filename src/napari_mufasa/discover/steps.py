@@ -43,9 +43,9 @@ class Steps(Standing):
 
     def take_up(self, groups: Sequence[Sequence[Case]]) -> set[str]:
         """Fit promising effects into the model together, of each group the one that explains most once it is started.
-        What is chosen while much is still wrong is compared again, beside the effects of the other groups. Returns the
-        kinds that stay out: what comes to next to none, and where all together explain nothing (the step is taken back)
-        all but the first, or an only one."""
+        What is chosen while much is still wrong is compared again, beside the effects of the other groups; a group that
+        promises nothing any more beside those before it waits. Returns the kinds that stay out: what comes to next to
+        none, and where all together explain nothing (the step is taken back) all but the first, or an only one."""
         stand, state, doubtful = self.stand, self.stand.state, []
         self.bench.plan(sum(len(group) for group in groups) * START + self._settling(len(groups)))
 
@@ -54,6 +54,8 @@ class Steps(Standing):
             return [started(stand.library, beside, case, stand.x) for case in new]
 
         for group in groups:
+            if state is not stand.state and not any(self._promises(state, case) for case in group):
+                continue
             begun_here = tries(group, state)
             state = min(begun_here, key=lambda tried: tried.surprise(stand.x), default=state)
             if len(groups) > 1 and len(begun_here) > 1 and state.far_off(stand.x):
@@ -135,6 +137,11 @@ class Steps(Standing):
         self.stands.pop()
 
     # Inside -------------------------------------------------------------------------------------------------
+
+    def _promises(self, state: State, case: Case) -> bool:
+        """Do an effect's leads still promise something beside what is begun in a state?"""
+        leads = state.screen(self.stand.x, {_kind(case): [lead.ray for lead in case]})
+        return leads[_kind(case)][0].gain > self.stand.needed
 
     def _settle(self, state: State, on_trial: Sequence[str] = (), below: float = np.inf) -> bool:
         """All free values fitted together, and the neighbourhood simulated anew: a further stand, if the misfit there
