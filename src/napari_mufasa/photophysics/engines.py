@@ -65,7 +65,7 @@ def simulate_photons(
         if exposure.of_each is not None:
             brightest *= float(np.max(exposure.of_each, initial=0.0))
         merged = merge_bright_states(chain, brightest, exposure.exposure_s)
-        if isinstance(merged, str):
+        if isinstance(merged, str):  # in words that stay the same: told once, however many movies a diagnosis simulates
             warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
         else:
             bright_chain, photon_rates = merged
@@ -93,9 +93,9 @@ def merge_bright_states(
         out = [t for t in chain.transitions if t.source == excited]
         leave = sum(t.rate_per_s for t in out)
         if up * brightest_light > SEPARATION * leave:
-            return f"k01/k10 = {up * brightest_light / leave:.2g} exceeds {SEPARATION}"
+            return f"k01/k10 exceeds {SEPARATION}"
         if exposure_s * leave * SEPARATION < 1:  # photons come late by a lifetime: too late for so short a frame
-            return f"a frame of {exposure_s:.2g} s holds only {exposure_s * leave:.2g} lifetimes"
+            return f"a frame holds fewer than {1 / SEPARATION:.0f} lifetimes"
         into = [t for t in chain.transitions if t.target == excited]
         if any(t.driven for t in out) or any(t.source != ground or not t.driven for t in into):
             return "an emitting state is entered or left otherwise than by excitation and spontaneous decay"
