@@ -11,6 +11,7 @@ from napari_mufasa.discover import automatic, joint, reporting, rules, steps
 from napari_mufasa.discover.automatic import play
 from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.investigation import Investigation
+from napari_mufasa.discover.metric import soften, stretch
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.stand import Worth
 from napari_mufasa.effects import catalogue, effect_class
@@ -347,23 +348,35 @@ def test_an_alarm_that_the_budget_let_nobody_follow_is_no_adequate_model(alarmed
     assert reporting.verdict_of(inquiry) == "unexplained"
 
 
+FAR_SOFT = soften(np.array([stretch(np.array([4.6]))[0] / (1 - rules.EXPLAINED)]))[0]
+
+
 @pytest.mark.parametrize(
-    ("p_left", "after", "farthest", "verdict"),
+    ("p_left", "after", "before", "farthest", "verdict"),
     [
-        (0.5, 1.0, 4.3, "missing_effect"),  # of 111 observables one may be off by 4.4 with a chance of 0.001
-        (0.5, 1.0, -4.6, "unexplained"),
-        (0.5, 1.4, 2.0, "missing_effect"),
-        (1e-4, 1.3, 2.0, "missing_effect"),
-        (1e-4, 1.4, 2.0, "unexplained"),
+        (0.5, 1.0, 0.0, 4.3, "missing_effect"),  # of 111 observables one may be off by 4.4 with a chance of 0.001
+        (0.5, 1.0, 0.0, -4.6, "unexplained"),
+        (0.5, 1.0, 0.95 * FAR_SOFT, -4.6, "unexplained"),
+        (0.5, 1.0, 1.05 * FAR_SOFT, -4.6, "missing_effect"),  # three fifths of what was off are explained
+        (0.5, 1.4, 0.0, 2.0, "missing_effect"),
+        (1e-4, 1.3, 0.0, 2.0, "missing_effect"),
+        (1e-4, 1.4, 0.0, 2.0, "unexplained"),
     ],
 )
-def test_what_is_left_beyond_chance_is_unexplained_as_a_whole_or_in_one_observable(p_left, after, farthest, verdict):
-    seen = SimpleNamespace(soft=np.append(np.zeros(110), farthest))
-    state = SimpleNamespace(adjusted=lambda x: seen, misfit=lambda x: 100.0, measurable=np.ones(111, dtype=bool))
+def test_what_is_left_beyond_chance_is_unexplained_as_a_whole_or_in_one_observable(
+    p_left, after, before, farthest, verdict
+):
+    def seen(off):
+        return SimpleNamespace(soft=np.append(np.zeros(110), off))
+
+    believed = SimpleNamespace(error=5.0, state=SimpleNamespace(adjusted=lambda x: seen(before)))
+    state = SimpleNamespace(
+        adjusted=lambda x: seen(farthest), misfit=lambda x: 100.0, measurable=np.ones(111, dtype=bool)
+    )
     null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_left))
     state.floor = 1.0
     stand = SimpleNamespace(added=("stage_drift",), state=state, null=null, x=None, misfit=100.0, error=after)
-    assert reporting.verdict_of(SimpleNamespace(first=SimpleNamespace(error=5.0), stand=stand)) == verdict
+    assert reporting.verdict_of(SimpleNamespace(first=believed, stand=stand)) == verdict
 
 
 def test_an_effect_of_the_model_believed_is_not_added_again(inquiry):

@@ -295,6 +295,21 @@ def test_forms_are_compared_each_in_its_best_shape():
     assert found.model.effects[-1].form == "telegraph"
 
 
+@pytest.mark.parametrize(("rows_adu", "left"), [(0.0, ["hot_pixels"]), (20.0, ["hot_pixels", "row_noise"])])
+def test_one_effect_in_another_form_takes_the_place_of_two_rivals(monkeypatch, rows_adu, left):
+    """Switching pixels and row noise explain steady pixels, unless there is much row noise beside them."""
+    monkeypatch.setattr(HOT, "rivals", ("row_noise",))
+    bench = FormBench()
+    hidden = [HOT(fraction=5e-3, electrons=33.0, form="steady")] + [ROWS(rms_adu=rows_adu)] * (rows_adu > 0)
+    stand = stand_of(bench, bench.start.with_effects(*hidden))
+    state = begun(stand.library, stand.state, [HOT(fraction=5e-3, electrons=33.0, form="telegraph")], stand.x)
+    asked = steps.Steps(bench, bench.start, 10_000, KINDS, [])
+    asked.stands = [stand, after(stand, begun(stand.library, state, [ROWS(rms_adu=1.0)], stand.x))]
+    assert asked.chosen == ["hot_pixels", "row_noise"] and asked.stand.worths["row_noise"].is_some
+    assert asked.merge() == (len(left) == 1)
+    assert asked.chosen == left and (len(left) == 2 or asked.state.model.effects[0].form == "steady")
+
+
 class BentBench(ToyBench):
     """With hot pixels more light lowers what it raises without them: the base model's derivative leads astray."""
 

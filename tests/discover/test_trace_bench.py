@@ -10,7 +10,8 @@ from tests.blind import generator
 
 import napari_mufasa as nm
 from napari_mufasa.compare.simulated import FarApart
-from napari_mufasa.discover import diagnose_traces
+from napari_mufasa.discover import diagnose_traces, rules
+from napari_mufasa.discover.investigation import TraceInvestigation
 from napari_mufasa.discover.trace_bench import TraceBench, candidate_kinds
 from napari_mufasa.files.whole import write_json
 from napari_mufasa.observe.lone_traces import Eyes, observe_traces, views
@@ -73,6 +74,14 @@ def test_only_what_a_trace_shows_is_fitted_beside_effects(believed):
     for value in bench.free_values(believed):  # to the end of its room it is a value that the model takes
         for end in value.room(believed):
             believed.with_values(value.changes(believed, end))
+
+
+def test_the_budget_counts_a_table_not_the_field_of_its_model(believed):
+    """A model of 512 × 512 pixels would leave a table an eighth of what it may spend."""
+    traces = made(believed)
+    wide = believed.with_values({"acquisition.shape_px": [512, 512]})
+    assert TraceBench(traces, wide).size == traces.size
+    assert TraceInvestigation(traces, wide).budget == rules.BUDGET
 
 
 def test_a_gain_that_is_wrong_shows(believed):

@@ -115,6 +115,8 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
             break
     if inquiry.chosen and inquiry.stand.content:
         inquiry.exchange()
+    while inquiry.merge():
+        inquiry.prune()
     inquiry.ranking = [candidate for candidate in ranking if candidate.effect not in inquiry.chosen]
     return inquiry.report()
 

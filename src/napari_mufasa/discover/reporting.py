@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from napari_mufasa.discover import joint, nuisance
+from napari_mufasa.discover.metric import stretch
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.discover.rules import ALARM, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
@@ -73,13 +74,15 @@ def verdict_of(inquiry: Standing) -> Verdict:
         return "unexplained" if left < MISFIT_ALARM or untried or stand.far_off else "adequate"
     share = (first.error - stand.error) / max(first.error - stand.state.floor, 1e-9)
     far = share < EXPLAINED or stand.error > FAR * stand.state.floor
-    return "unexplained" if (left < STILL_OFF and far) or _one_is_off(stand.state, stand.x) else "missing_effect"
+    one_is_off = _one_is_off(first.state, stand.state, stand.x)
+    return "unexplained" if (left < STILL_OFF and far) or one_is_off else "missing_effect"
 
 
-def _one_is_off(state: State, x: NDArray[np.float64]) -> bool:
-    """Is one observable so far off that chance would leave none of them there?"""
-    off = np.abs(state.adjusted(x).soft[state.measurable])
-    return bool(off.max() > stats.norm.isf(STILL_OFF / (2 * off.size)))
+def _one_is_off(before: State, state: State, x: NDArray[np.float64]) -> bool:
+    """Is one observable so far off that chance would leave none of them there, and mostly still as far as before?"""
+    off, was_off = (each.adjusted(x).soft[state.measurable] for each in (state, before))
+    beyond_chance = np.abs(off) > stats.norm.isf(STILL_OFF / (2 * off.size))
+    return bool(np.any(beyond_chance & (np.abs(stretch(off)) > (1 - EXPLAINED) * np.abs(stretch(was_off)))))
 
 
 def _history(inquiry: Standing) -> list[dict[str, Any]]:

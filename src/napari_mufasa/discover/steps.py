@@ -10,13 +10,14 @@ import numpy as np
 
 from napari_mufasa.discover import joint, library
 from napari_mufasa.discover.coordinates import changed
-from napari_mufasa.discover.rules import CLEAR, FAR, FAR_LESS, NEAR, REMOVALS, RIVAL, RIVALS, START
+from napari_mufasa.discover.rules import CLEAR, FAR, FAR_LESS, FORM_WORTH, NEAR, REMOVALS, RIVAL, RIVALS, START
 from napari_mufasa.discover.stand import Case, Stand, Worth
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import State
-from napari_mufasa.effects import Effect
+from napari_mufasa.effects import Effect, effect_class
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.model.model import Model
 
 
 class Steps(Standing):
@@ -130,6 +131,23 @@ class Steps(Standing):
                 return True
         return False
 
+    def merge(self) -> bool:
+        """Try another form of an effect in the place of itself and of a rival that is worth no more than another form
+        may be; keep it where the rival is then not worth its place."""
+        stand = self.stand
+        explained = self.first.misfit - stand.misfit
+        for kind in sorted(stand.added, key=lambda kind: stand.worths[kind].evidence):
+            worth = stand.worths[kind]
+            if worth.evidence > FORM_WORTH * explained:
+                break
+            for other in stand.added:
+                if are_rivals(kind, other) and self.affords(0):
+                    lesser = self._merged(other, kind, worth)
+                    if lesser is not None:
+                        self.stands[-1] = lesser
+                        return True
+        return False
+
     def undo(self) -> None:
         """Take the last step back."""
         if len(self.stands) < 2:
@@ -191,10 +209,22 @@ class Steps(Standing):
         stand = self.stand
         known = stand.library.formed
         if kind not in known:
-            effect = next(e for e in stand.state.model.effects if e.kind == kind)
-            others = [e for e in each_form(effect) if e.chosen != effect.chosen]
+            others = _other_forms(stand.state.model, kind)
             known[kind] = begun(stand.library, stand.without(kind), others, stand.x) if others else None
         return known[kind]
+
+    def _merged(self, kind: str, spared: str, worth: Worth) -> Stand | None:
+        """The stand without `spared` and with an effect in the best of its other forms, if `spared`, worth so much with
+        the form that it has, is not worth its place there."""
+        stand = self.stand
+        if not (others := _other_forms(stand.state.model, kind)):
+            return None
+        state = begun(stand.library, joint.removed(stand.library, kind, spared), others, stand.x)
+        if not self._settle(state, below=stand.misfit + worth.needed):
+            return None
+        lesser = self.stands.pop()
+        evidence = lesser.state.score(stand.x) - stand.state.score(stand.x)
+        return None if stand.is_worth(replace(worth, evidence=evidence, error_without=lesser.error)) else lesser
 
     def _replaced(self, kind: str, tries: list[State], more: float) -> bool:
         """Settle the best of `tries`, in each of which something else is in the place of an effect, unless it leaves so
@@ -226,6 +256,16 @@ def _kind(case: Case) -> str:
 
 def _kinds(state: State) -> list[str]:
     return [effect.kind for effect in state.model.effects]
+
+
+def are_rivals(kind: str, other: str) -> bool:
+    """Are two effects known to look alike?"""
+    return kind in effect_class(other).rivals or other in effect_class(kind).rivals
+
+
+def _other_forms(model: Model, kind: str) -> list[Effect]:
+    effect = next(e for e in model.effects if e.kind == kind)
+    return [e for e in each_form(effect) if e.chosen != effect.chosen]
 
 
 def each_form(effect: Effect) -> list[Effect]:

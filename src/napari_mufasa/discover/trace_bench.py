@@ -128,6 +128,10 @@ class TraceBench(Bench[TraceNumbers]):
     def simulated(self) -> SimulatedTables:
         return self._simulated
 
+    @property
+    def size(self) -> int:
+        return int(self._electrons.size)
+
     def free_values(self, model: Model) -> list[Nuisance]:
         return [_in_proportion(value) for value in nuisances(model) if value.path not in NOT_SHOWN]
 

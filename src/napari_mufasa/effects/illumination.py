@@ -93,7 +93,7 @@ class LaserDrift(Effect):
     what_it_does = "Spots and background rise or fall together."
     how_to_check = "Log the power with a photodiode."
     observables = ("level_trend", "background_time")
-    rivals = ("background_decay", "baseline_drift", "focus_drift")
+    rivals = ("background_decay", "baseline_drift", "focus_drift", "periodic_modulation")
     separated_by = "a photodiode trace; dark frames; spot level against background"
 
     change: float = parameter(
@@ -123,7 +123,7 @@ class LaserFlicker(Effect):
     what_it_does = "All spots and the background flicker in unison, without a period."
     how_to_check = "Log the power with a photodiode."
     observables = ("common_mode",)
-    rivals = ("periodic_modulation", "row_noise")
+    rivals = ("periodic_modulation", "row_noise", "laser_drift")
     separated_by = "the spectrum of the common mode; a photodiode trace"
 
     rms: float = parameter(
@@ -158,7 +158,7 @@ class PeriodicModulation(Effect):
     what_it_does = "All spots and the background swing in unison at one frequency."
     how_to_check = "Change the frame rate: the period changes; look at the photodiode's spectrum."
     observables = ("common_mode",)
-    rivals = ("laser_flicker",)
+    rivals = ("laser_flicker", "laser_drift")
     separated_by = "the spectrum of the common mode at two frame rates"
 
     amplitude: float = parameter(

@@ -99,7 +99,7 @@ class FrameBaseline(Effect):
     what_it_does = "Whole frames are a little higher or lower, in light and dark, at the same noise."
     how_to_check = "Plot the mean of each dark frame."
     observables = ("common_mode",)
-    rivals = ("laser_flicker", "periodic_modulation", "row_noise")
+    rivals = ("laser_flicker", "periodic_modulation", "row_noise", "baseline_drift")
     separated_by = "the means of dark frames; whether spots change with the background"
 
     rms_adu: float = parameter(
