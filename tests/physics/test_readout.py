@@ -3,6 +3,7 @@ all. Tolerances are four to five standard errors."""
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from tests.physics.test_camera import N, make, record
 
 from napari_mufasa import MufasaError, denoise, preset
@@ -32,6 +33,16 @@ def test_the_kernel_correlates_rows_and_its_inverse_takes_that_away(kernel):
     assert electrons.mean() == pytest.approx(expected, abs=5 * np.sqrt(2 * expected / N))
     variance = 2 * expected + read * (300 / 300) ** 2
     assert electrons.var() == pytest.approx(variance, rel=5 * np.sqrt(4 / N))
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 40])
+def test_rows_are_mixed_as_a_convolution_mixes_them(n):
+    """Against scipy's, before a row its first pixel again or its end; kernels longer than a row, too."""
+    rng = np.random.default_rng(3)
+    values, weights = rng.normal(size=(3, 4, 31)).astype(np.float32), rng.normal(size=n)
+    for mix, mode in ((readout.along_rows, "nearest"), (readout.noise_along_rows, "wrap")):
+        reference = ndimage.convolve1d(values.astype(float), weights, axis=-1, mode=mode, origin=-(n // 2))
+        np.testing.assert_allclose(mix(values, weights), reference, atol=1e-5 * n)
 
 
 def test_the_inverse_is_exact_at_the_first_column_and_in_blocks():

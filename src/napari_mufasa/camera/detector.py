@@ -77,14 +77,15 @@ def expose(
     # 2 multiplication or conversion
     excess = multiplication_noise(camera) if hooks.excess_noise_factor is None else hooks.excess_noise_factor
     from napari_mufasa.camera.kernels import detect, digitise, digitise_unevenly, read_out
-    from napari_mufasa.camera.register import quantile_roots
+    from napari_mufasa.camera.register import TABLED, lean, quantile_roots
 
     numbers = np.ascontiguousarray(frames, dtype=np.int64)
     shape, kept = _multiplication_law(excess, hooks.nothing_lost)
-    ideal = (shape, kept) == (1.0, 0.0)  # what `detect` asks, too: it reads the table then
-    table = quantile_roots() if ideal else np.empty((0, 0), np.float32)
+    tabled = TABLED[0] <= excess <= TABLED[1]
+    table = quantile_roots(shape, kept) if tabled else np.empty((0, 0), np.float32)
+    leans = lean(shape, kept) if tabled else 0.0
     expected = np.ascontiguousarray(expected, np.float32)
-    electrons = detect(expected, shape, kept, numbers, streams.key("detection"), table)
+    electrons = detect(expected, shape, kept, numbers, streams.key("detection"), table, excess, leans)
     if camera.type == "CMOS":
         electrons = cmos_response(electrons, camera)
     else:

@@ -20,14 +20,14 @@ from napari_mufasa.chance.variates import (
     tails,
     uniforms,
 )
-from napari_mufasa.compiled import inlined, jit
+from napari_mufasa.compiled import inlined, jit, vectorised
 
 
 @jit
-def detect(expected, shape, kept, frames, key, table):  # type: ignore[no-untyped-def]
+def detect(expected, shape, kept, frames, key, table, excess, leans):  # type: ignore[no-untyped-def]
     """Photoelectrons times their multiplication noise of mean 1: n electrons become kept·n + (1 − kept)·Gamma(shape·n,
-    scale 1/shape), without noise where shape is 0; no electron in, none out. F² = 1 + (1 − kept)²/shape. `table` is
-    used for the ideal register alone (shape 1, kept 0)."""
+    scale 1/shape), without noise where shape is 0; no electron in, none out. By the quantiles of the register's table,
+    for which its excess noise factor and lean are (`camera.register`); where the table is empty, number by number."""
     n_frames, height, width = expected.shape
     result = np.empty(expected.shape, dtype=np.float32)
     bits, light, tail = np.empty(width, np.uint64), np.empty(width, np.float32), np.empty(width, np.float32)
@@ -35,11 +35,11 @@ def detect(expected, shape, kept, frames, key, table):  # type: ignore[no-untype
     u, mean, none, below, counts = np.empty(width), np.empty(width), np.empty(width), np.empty(width), np.empty(width)
     for f in range(n_frames):
         for y in range(height):
-            if shape == 1.0 and kept == 0.0:
+            if table.size > 0:
                 tails(key, frames[f], y * width, bits, tail)
                 for x in range(width):
                     light[x] = max(expected[f, y, x], np.float32(0.0))
-                electrons_after_gain(light, tail, table, cell, scratch, result[f, y])
+                electrons_after_gain(light, tail, table, excess, leans, cell, scratch, result[f, y])
                 continue
             uniforms(key, frames[f], y * width, 1, u)
             # The row at once up to twice its mean, the few brighter pixels one by one.
@@ -62,6 +62,27 @@ def detect(expected, shape, kept, frames, key, table):  # type: ignore[no-untype
                     amplified, _ = gamma(shape * n, stream(key + np.uint64(1), frames[f], y * width + x))
                     result[f, y, x] = kept * n + (1.0 - kept) * amplified / shape
     return result
+
+
+@vectorised
+def mix_rows(values, weights, wraps, mixed):  # type: ignore[no-untyped-def]
+    """Each pixel of `values` (frame, y, x) as the sum of itself and of those before it in its row, with `weights`
+    (lag,); before a row comes its first pixel again, or where it `wraps` its end."""
+    n_frames, height, width = values.shape
+    before = weights.size - 1
+    line = np.empty(before + width, np.float32)
+    for f in range(n_frames):
+        for y in range(height):
+            row, total = values[f, y], mixed[f, y]
+            for x in range(before):
+                line[x] = row[(x - before) % width] if wraps else row[0]
+            for x in range(width):
+                line[before + x] = row[x]
+                total[x] = weights[0] * row[x]
+            for lag in range(1, before + 1):
+                weight, earlier = weights[lag], line[before - lag : before - lag + width]
+                for x in range(width):
+                    total[x] += weight * earlier[x]
 
 
 @jit

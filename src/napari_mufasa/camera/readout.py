@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, signal
+from scipy import signal
 
 if TYPE_CHECKING:
     from napari_mufasa.chance.streams import Streams
@@ -37,14 +37,20 @@ def without_readout(camera: Camera) -> Camera:
 def along_rows(electrons: Stack, weights: Array) -> Stack:
     """Each pixel as the weighted sum of itself and of those before it in its row (x − 1, x − 2 …), which continue level
     before the first one."""
-    mixed: Stack = ndimage.convolve1d(electrons, weights, axis=-1, mode="nearest", origin=-(len(weights) // 2))
-    return mixed
+    return _mixed(electrons, weights, False)
 
 
 def noise_along_rows(noise: Stack, weights: Array) -> Stack:
     """The same of read noise: before a row's first pixel the amplifier read the end of another row, so that it is
     alike everywhere."""
-    mixed: Stack = ndimage.convolve1d(noise, weights, axis=-1, mode="wrap", origin=-(len(weights) // 2))
+    return _mixed(noise, weights, True)
+
+
+def _mixed(values: Stack, weights: Array, wraps: bool) -> Stack:
+    from napari_mufasa.camera.kernels import mix_rows
+
+    mixed = np.empty(values.shape, np.float32)
+    mix_rows(np.ascontiguousarray(values, np.float32), weights.astype(np.float32), wraps, mixed)
     return mixed
 
 

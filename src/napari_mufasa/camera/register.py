@@ -1,11 +1,15 @@
 """An EMCCD's gain register: expected photoelectrons → shot noise and multiplication noise, from one uniform.
 
-A mean of λ photoelectrons gives n ~ Poisson(λ) of them, and the register makes Gamma(n, 1) of n (in units of its
+A mean of λ photoelectrons gives n ~ Poisson(λ) of them, and an ideal register makes Gamma(n, 1) of n (in units of its
 gain). The sum over n is a squared Bessel law: no electron with probability e^−λ, otherwise a value whose square root
 is nearly normal, √(λ − t) + z√t with 4λt − 2t² = 2λ (mean and variance exact, the next two cumulants to first order in
 1/λ; Siegel 1979, Sankaran 1959). So its quantiles are a smooth table in √λ and the normal score z, and above
 `LAST_ROOT` that formula. One uniform for each pixel also keeps two simulations of one seed close where λ differs a
 little: their difference has no jumps of n in it.
+
+Other registers make kept·n + (1 − kept)·Gamma(shape·n, 1/shape) of n. Their sums have tables, too, as long as a single
+electron's spread hides the numbers (F² from `TABLED` on), and above them 4λt − 2t² = F²λ and a little more or less
+skewness than such a square has (`lean`).
 
 Import this module only where a kernel is compiled: it needs numba.
 """
@@ -25,25 +29,44 @@ from napari_mufasa.compiled import inlined, jit
 
 LAST_ROOT, ROOT_CELLS = 6.0, 192  # of √λ; linear in between, within 1e-4 of the value
 LAST_SCORE, SCORE_CELLS = 6.0, 96  # of z, both sides
+TABLED = (1.3, 4.0)  # the excess noise factors F² that have a table
 _NONE = np.float32(-1e3)  # the score where no electron comes
 _LEAST = np.float32(2.0**-33)  # of the chances that a score is made of
 
 
-@lru_cache(maxsize=1)
-def quantile_roots() -> NDArray[np.float32]:
+@lru_cache(maxsize=16)
+def quantile_roots(shape: float = 1.0, kept: float = 0.0) -> NDArray[np.float32]:
     """√x at normal score z, given that an electron came: (√λ, z) on the cells' corners."""
     means = np.linspace(0.0, LAST_ROOT, ROOT_CELLS + 1)[:, None] ** 2
     n = np.arange(1, int(LAST_ROOT**2 + 10 * LAST_ROOT) + 1)
     # P(n | n ≥ 1), λ → 0 included: λⁿ⁻¹/n! · λ/(e^λ − 1)
     share = np.exp(special.xlogy(n - 1, means) - special.gammaln(n + 1)) / special.exprel(means)
     share /= share.sum(axis=1, keepdims=True)
-    roots = np.concatenate([np.geomspace(2e-5, 0.2, 160), np.linspace(0.2, LAST_ROOT + LAST_SCORE, 480)[1:]])
-    below = share @ special.gammainc(n[:, None], roots**2)
-    above = share @ special.gammaincc(n[:, None], roots**2)
+    last = LAST_ROOT + LAST_SCORE * math.sqrt(excess_noise(shape, kept) / 2)
+    least = np.concatenate([np.geomspace(2e-5, 0.2, 160), np.linspace(0.2, last, 480)[1:]])
+    values = kept + least**2  # no single electron gives less than what is kept of it
+    multiplied = np.maximum(values - kept * n[:, None], 0.0) * (shape / (1 - kept))
+    below = share @ special.gammainc(shape * n[:, None], multiplied)
+    above = share @ special.gammaincc(shape * n[:, None], multiplied)
     scores = np.where(below < 0.5, special.ndtri(below), -special.ndtri(above))
     corners = np.linspace(-LAST_SCORE, LAST_SCORE, SCORE_CELLS + 1)
+    roots = np.sqrt(values)
     table = [PchipInterpolator(s[k], roots[k])(corners) for s, k in ((s, np.isfinite(s)) for s in scores)]
     return np.asarray(table, dtype=np.float32)
+
+
+def excess_noise(shape: float, kept: float) -> float:
+    """F² of a register that makes kept + (1 − kept)·Gamma(shape, 1/shape) of an electron; 1 at shape 0 (`detect`)."""
+    return 1.0 + (1.0 - kept) ** 2 / shape if shape > 0 else 1.0
+
+
+def lean(shape: float, kept: float) -> float:
+    """By how much the sum over many electrons leans farther than the square of a normal root does, times √λ / 6: its
+    third cumulant is λ E J³ of one electron's J, the square's 3/2 F⁴ λ; none in an ideal register."""
+    second, third = 1.0 + 1.0 / shape, (1.0 + 1.0 / shape) * (1.0 + 2.0 / shape)
+    lost, excess = 1.0 - kept, excess_noise(shape, kept)
+    cube = kept**3 + 3 * kept**2 * lost + 3 * kept * lost**2 * second + lost**3 * third
+    return float((cube - 1.5 * excess**2) / (6 * excess**1.5))
 
 
 @inlined
@@ -100,9 +123,10 @@ def look_up(cell, along, across, flat, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def electrons_after_gain(mean, tail, table, cell, scratch, out):  # type: ignore[no-untyped-def]
+def electrons_after_gain(mean, tail, table, excess, leans, cell, scratch, out):  # type: ignore[no-untyped-def]
     """A row (n,) of photoelectron numbers `mean` ≥ 0 → electrons over gain at the uniforms' tails (see
-    `variates.tails`), float32; cell (n,) int32 and scratch (3, n) float32 are for what comes in between.
+    `variates.tails`), float32, by the table of a register with that excess noise factor and `lean`; cell (n,) int32 and
+    scratch (3, n) float32 are for what comes in between.
 
     In steps of a whole row each: they take half the time of one loop with all of them.
     """
@@ -111,10 +135,12 @@ def electrons_after_gain(mean, tail, table, cell, scratch, out):  # type: ignore
     scores(tail, along, across, z)
     places(mean, z, cell, along, across)
     look_up(cell, along, across, table.ravel(), out)
+    owed = 3.0 * excess**1.5 * leans  # of the variance, which leaning has its share in
     for x in range(mean.size):
         if z[x] == _NONE:
             out[x] = 0.0
         elif mean[x] > LAST_ROOT * LAST_ROOT:
-            t = mean[x] - math.sqrt(mean[x] * mean[x] - mean[x])
-            root = math.sqrt(mean[x] - t) + z[x] * math.sqrt(t)
+            t = mean[x] - math.sqrt(mean[x] * mean[x] - 0.5 * (excess * mean[x] - owed))
+            score = z[x] + leans / math.sqrt(mean[x]) * (z[x] * z[x] - 1.0)
+            root = math.sqrt(mean[x] - t) + score * math.sqrt(t)
             out[x] = root * root
