@@ -38,7 +38,7 @@ Scheduler = Annotated[
 ]
 Budget = Annotated[
     int | None,
-    typer.Option(min=1, metavar="N", help="Simulations that may be spent; 4000 without it, fewer for large movies."),
+    typer.Option(min=1, metavar="N", help="Simulations that may be spent; 5000 without it, fewer for large movies."),
 ]
 
 Channel = Annotated[

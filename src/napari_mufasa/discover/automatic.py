@@ -44,7 +44,7 @@ def diagnose(
     effects : kinds to consider; None: the whole catalogue that suits the camera, uncommon effects where the common
         ones leave the model far off its floor
     max_effects : so many are added at most; None: as many as earn their place
-    budget : simulations that may be spent; None: 4000, fewer of a large movie
+    budget : simulations that may be spent; None: 5000, fewer of a large movie
     progress : called with (done, in all); cancel : True stops (raises `Cancelled`)
     client : of a cluster that simulates (docs/clusters.md)
 

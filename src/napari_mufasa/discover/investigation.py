@@ -40,7 +40,7 @@ class Investigation(Steps):
     dark : (frame, y, x) dark frames or None
     seed : the same seed gives the same answer
     effects : kinds to consider; None: the whole catalogue that suits the camera
-    budget : simulations that may be spent; None: 4000, fewer of a large movie (`rules.BUDGET_VALUES`)
+    budget : simulations that may be spent; None: 5000, fewer of a large movie (`rules.BUDGET_VALUES`)
     progress, cancel, client : see `simulate`
 
     Memory: the (cropped) movie and one simulated movie per core. Raises `MufasaError` on unusable input.
