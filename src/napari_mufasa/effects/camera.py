@@ -98,7 +98,7 @@ class ClockInducedCharge(Effect):
     what_it_does = "Single-electron events appear in every frame, dark ones too."
     how_to_check = "Take dark frames: the tail of bright single pixels is there without light."
     observables = ("dark_mean", "dark_tail")
-    rivals = ("baseline_drift",)
+    rivals = ("baseline_drift", "background_gradient")
     separated_by = "dark frames only"
 
     electrons: float = parameter(
