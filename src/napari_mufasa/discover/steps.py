@@ -142,7 +142,7 @@ class Steps(Standing):
                 break
             for other in stand.added:
                 if are_rivals(kind, other) and self.affords(0):
-                    lesser = self._merged(other, kind, worth)
+                    lesser = self._merged(other, kind, worth.needed)
                     if lesser is not None:
                         self.stands[-1] = lesser
                         return True
@@ -194,8 +194,7 @@ class Steps(Standing):
             return worth, None
         self._stand_at(joint.seen_from(stand.library, there.model, self.kinds))
         lesser = self.stands.pop()
-        evidence = max(lesser.state.score(x) - stand.state.score(x), 0.0)
-        worth = Worth(evidence, lesser.error, needed)
+        worth = _worth_beside(stand, lesser, needed)
         return worth, None if stand.is_worth(worth) else lesser
 
     def _begun_without(self, kind: str, cases: Sequence[Case]) -> list[State]:
@@ -213,18 +212,17 @@ class Steps(Standing):
             known[kind] = begun(stand.library, stand.without(kind), others, stand.x) if others else None
         return known[kind]
 
-    def _merged(self, kind: str, spared: str, worth: Worth) -> Stand | None:
-        """The stand without `spared` and with an effect in the best of its other forms, if `spared`, worth so much with
-        the form that it has, is not worth its place there."""
+    def _merged(self, kind: str, spared: str, needed: float) -> Stand | None:
+        """The stand without `spared` and with an effect in the best of its other forms, if `spared` is not worth there
+        what it needs."""
         stand = self.stand
         if not (others := _other_forms(stand.state.model, kind)):
             return None
         state = begun(stand.library, joint.removed(stand.library, kind, spared), others, stand.x)
-        if not self._settle(state, below=stand.misfit + worth.needed):
+        if not self._settle(state, below=stand.misfit + needed):
             return None
         lesser = self.stands.pop()
-        evidence = lesser.state.score(stand.x) - stand.state.score(stand.x)
-        return None if stand.is_worth(replace(worth, evidence=evidence, error_without=lesser.error)) else lesser
+        return None if stand.is_worth(_worth_beside(stand, lesser, needed)) else lesser
 
     def _replaced(self, kind: str, tries: list[State], more: float) -> bool:
         """Settle the best of `tries`, in each of which something else is in the place of an effect, unless it leaves so
@@ -248,6 +246,12 @@ class Steps(Standing):
             return False
         self.stands[-1] = other
         return True
+
+
+def _worth_beside(stand: Stand, lesser: Stand, needed: float) -> Worth:
+    """What a stand is worth that has one effect more than another."""
+    evidence = max(lesser.state.score(stand.x) - stand.state.score(stand.x), 0.0)
+    return Worth(evidence, lesser.error, needed)
 
 
 def _kind(case: Case) -> str:
