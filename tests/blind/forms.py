@@ -134,7 +134,7 @@ KNOWN: dict[str, dict[str, Law]] = {
         "mobile_half": Law("half_mobile", {"diffusion_px2_per_frame": _diffusion}),
     },
     "astigmatism": {"axis": Law(None, _LOG_RATIO), "rotated": Law(None, _LOG_RATIO)},
-    "background_gradient": {"linear": Law("linear"), "haze": Law("hump", near=True)},
+    "background_gradient": {"linear": Law("linear"), "haze": Law("hump")},
     "background_decay": {
         "exponential": Law("exponential", {"fraction": "decaying_share", "time_constant_movies": _decay_time}),
         "linear": Law("linear", {"fraction": "relative_loss"}),

@@ -195,12 +195,17 @@ def test_linear_gradient_rises_by_its_height_across_the_field():
     assert np.hypot(dy.mean(), dx.mean()) * 50 / 20 == pytest.approx(0.8, rel=1e-6)
 
 
-def test_hump_rises_by_its_height_above_the_dark_corner():
-    scene = scene_of(
-        plain(shape=(80, 80)).with_effects(effect("background_gradient", relative_height=1.5, form="hump"))
+@pytest.mark.parametrize(("centre", "width"), [((0.1, -0.3), 0.4), ((0.0, 0.9), 1.5)])
+def test_a_hump_is_a_gaussian_about_its_centre_that_rises_by_its_height(centre, width):
+    height = 1.5
+    added = effect(
+        "background_gradient", relative_height=height, form="hump", centre_y=centre[0], centre_x=centre[1], width=width
     )
-    background = scene.background_map()
-    assert background.max() / background.min() == pytest.approx(2.5, rel=0.1)
+    background = scene_of(plain(shape=(48, 64)).with_effects(added)).background_map()
+    y, x = np.mgrid[:48, :64]
+    hump = np.exp(-(((y - 23.5) / 32 - centre[0]) ** 2 + ((x - 31.5) / 32 - centre[1]) ** 2) / (2 * width**2))
+    law = 1 + height * (hump - hump.min()) / (1 - hump.min())
+    np.testing.assert_allclose(background / background.mean(), law / law.mean(), rtol=1e-5)
 
 
 def test_background_that_decays_linearly_loses_its_share_by_the_end():

@@ -29,6 +29,33 @@ def value_columns() -> Any:
     return Field(1, ge=1, description="columns of that grid", json_schema_extra={"forms": ["as_seen"]})
 
 
+def centre_along(axis: str, form: str) -> Any:
+    """The fields `centre_y` and `centre_x` of effects that have a Gaussian somewhere in the field, in one form."""
+    told = f"where its middle is along {axis}; the longer side of the field reaches from −1 to 1"
+    return parameter(0.0, ge=-5, le=5, plausible=(-1.2, 1.2), unit="half fields", forms=(form,), description=told)
+
+
+def gaussian_width(form: str) -> Any:
+    """The field `width` beside them."""
+    told = "its standard deviation"
+    return parameter(
+        0.8, gt=0.01, le=100, plausible=(0.3, 2), unit="half fields", log=True, forms=(form,), description=told
+    )
+
+
+def gaussian(scene: Scene, y: Array, x: Array, centre: tuple[float, float], width: float) -> Array:
+    """A Gaussian at pixel coordinates of a scene, 0 where it is faintest in the field and 1 at its middle."""
+
+    def law(y: Array, x: Array) -> Array:
+        v, u = scene.centred(y, x)
+        height: Array = np.exp(-((v - centre[0]) ** 2 + (u - centre[1]) ** 2) / (2 * width**2))
+        return height
+
+    faintest = float(np.min(scene.over_field(law)))
+    risen: Array = (law(y, x) - faintest) / max(1 - faintest, 1e-12)
+    return risen
+
+
 def relief(values: tuple[float, ...], columns: int, scene: Scene, y: Array, x: Array) -> Array:
     """Height at pixel coordinates of a scene: straight lines between the centres of the grid's cells, level beyond
     them; a last row that is not full does not count."""

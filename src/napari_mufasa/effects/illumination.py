@@ -8,7 +8,15 @@ import numpy as np
 from scipy import signal
 
 from napari_mufasa.effects.courses import drifted, seen_path, step_length, step_time
-from napari_mufasa.effects.fields import bright_side, relief, seen_values, value_columns
+from napari_mufasa.effects.fields import (
+    bright_side,
+    centre_along,
+    gaussian,
+    gaussian_width,
+    relief,
+    seen_values,
+    value_columns,
+)
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.simulate.scene import Array, Scene
 
@@ -36,36 +44,21 @@ class IlluminationProfile(Effect):
         description="light lost at the field's dimmest edge",
     )
     direction_deg: float = bright_side(forms=("off_centre", "linear"))
-    centre_y: float = parameter(
-        0.0, ge=-5, le=5, plausible=(-1.2, 1.2), unit="half fields", forms=("beam",),
-        description="the beam's centre along y; the longer side reaches from −1 to 1",
-    )  # fmt: skip
-    centre_x: float = parameter(
-        0.0, ge=-5, le=5, plausible=(-1.2, 1.2), unit="half fields", forms=("beam",), description="and along x"
-    )
-    width: float = parameter(
-        0.8, gt=0.01, le=100, plausible=(0.3, 2), unit="half fields", log=True, forms=("beam",),
-        description="standard deviation of the beam",
-    )  # fmt: skip
+    centre_y: float = centre_along("y", "beam")
+    centre_x: float = centre_along("x", "beam")
+    width: float = gaussian_width("beam")
     seen: tuple[float, ...] = seen_values()
     seen_columns: int = value_columns()
     form: Literal["gaussian", "off_centre", "linear", "as_seen", "beam"] = "gaussian"
 
-    def _beam(self, v: Array, u: Array) -> Array:
-        """A Gaussian beam of peak 1 at (v, u) half fields from the centre."""
-        left: Array = np.exp(-((v - self.centre_y) ** 2 + (u - self.centre_x) ** 2) / (2 * self.width**2))
-        return left
-
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
-        faintest = float(np.min(scene.over_field(lambda y, x: self._beam(*scene.centred(y, x)))))
 
         def profile(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
             if self.form == "beam":  # a Gaussian over even light, which leaves 1 − edge_dimming where it ends
-                beam = self._beam(v, u)
-                hump: Array = 1 - self.edge_dimming * (1 - beam) / max(1 - faintest, 1e-12)
-                return np.maximum(hump, 0.0)  # molecules may lie half a pixel beyond the faintest one
+                beam = gaussian(scene, y, x, (self.centre_y, self.centre_x), self.width)
+                return np.maximum(1 - self.edge_dimming * (1 - beam), 0.0)  # molecules may lie beyond the faintest
             if self.seen and self.form == "as_seen":
                 lit: Array = 1 - self.edge_dimming * (1 - relief(self.seen, self.seen_columns, scene, y, x))
                 return lit

@@ -8,7 +8,15 @@ import numpy as np
 from pydantic import Field
 
 from napari_mufasa.effects.courses import course, seen_path
-from napari_mufasa.effects.fields import bright_side, relief, seen_values, value_columns
+from napari_mufasa.effects.fields import (
+    bright_side,
+    centre_along,
+    gaussian,
+    gaussian_width,
+    relief,
+    seen_values,
+    value_columns,
+)
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.simulate.scene import Array, Scene
 
@@ -58,14 +66,16 @@ class BackgroundGradient(Effect):
     relative_height: float = parameter(
         0.4, ge=0, le=10, plausible=(0.03, 1.2), unit="", log=True, description="rise across the field / mean"
     )
-    direction_deg: float = bright_side(forms=("linear", "hump"))
+    direction_deg: float = bright_side(forms=("linear",))
+    centre_y: float = centre_along("y", "hump")
+    centre_x: float = centre_along("x", "hump")
+    width: float = gaussian_width("hump")
     seen: tuple[float, ...] = seen_values()
     seen_columns: int = value_columns()
     form: Literal["linear", "hump", "as_seen"] = "linear"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
-        centre = 0.4 * np.array([np.sin(angle), np.cos(angle)])
 
         def shape(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
@@ -74,7 +84,7 @@ class BackgroundGradient(Effect):
             elif self.form in ("linear", "as_seen"):  # where nothing was seen
                 rise = (u * np.cos(angle) + v * np.sin(angle)) / 2
             else:
-                rise = np.exp(-((v - centre[0]) ** 2 + (u - centre[1]) ** 2) / (2 * 0.45**2))
+                rise = gaussian(scene, y, x, (self.centre_y, self.centre_x), self.width)
             return self.relative_height * rise
 
         # The background believed is that of the field's mean.
