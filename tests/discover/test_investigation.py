@@ -275,7 +275,7 @@ class Climb:
     def widen(self):
         return False
 
-    deepen = widen
+    deepen = merge = widen
 
     def exchange(self, waiting=None, kinds=None):
         if waiting is not None:

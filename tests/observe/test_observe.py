@@ -118,7 +118,7 @@ def test_the_axis_of_astigmatism_is_read_off(axis_deg):
         IlluminationProfile(edge_dimming=0.5, direction_deg=200.0, form="linear"),
         IlluminationProfile(edge_dimming=0.5, direction_deg=200.0, form="off_centre"),
         BackgroundGradient(relative_height=0.5, direction_deg=200.0, form="linear"),
-        BackgroundGradient(relative_height=0.5, direction_deg=200.0, form="hump"),
+        BackgroundGradient(relative_height=0.5, centre_y=-0.17, centre_x=-0.47, width=0.5, form="hump"),
     ],
 )
 def test_the_bright_side_is_read_off(added):
