@@ -77,7 +77,7 @@ def test_only_what_a_trace_shows_is_fitted_beside_effects(believed):
 
 
 def test_the_budget_counts_a_table_not_the_field_of_its_model(believed):
-    """A model of 512 × 512 pixels would leave a table an eighth of what it may spend."""
+    """A model of 512 × 512 pixels would leave a table a quarter of what it may spend."""
     traces = made(believed)
     wide = believed.with_values({"acquisition.shape_px": [512, 512]})
     assert TraceBench(traces, wide).size == traces.size

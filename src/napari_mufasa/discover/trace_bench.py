@@ -130,6 +130,7 @@ class TraceBench(Bench[TraceNumbers]):
 
     @property
     def size(self) -> int:
+        """Molecules times frames."""
         return int(self._electrons.size)
 
     def free_values(self, model: Model) -> list[Nuisance]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -43,8 +44,8 @@ def gaussian_width(form: str) -> Any:
     )
 
 
-def gaussian(scene: Scene, y: Array, x: Array, centre: tuple[float, float], width: float) -> Array:
-    """A Gaussian at pixel coordinates of a scene, 0 where it is faintest in the field and 1 at its middle."""
+def gaussian(scene: Scene, centre: tuple[float, float], width: float) -> Callable[[Array, Array], Array]:
+    """A Gaussian of pixel coordinates (y, x) of a scene, 0 where it is faintest in the field and 1 at its middle."""
 
     def law(y: Array, x: Array) -> Array:
         v, u = scene.centred(y, x)
@@ -52,8 +53,7 @@ def gaussian(scene: Scene, y: Array, x: Array, centre: tuple[float, float], widt
         return height
 
     faintest = float(np.min(scene.over_field(law)))
-    risen: Array = (law(y, x) - faintest) / max(1 - faintest, 1e-12)
-    return risen
+    return lambda y, x: (law(y, x) - faintest) / max(1 - faintest, 1e-12)
 
 
 def relief(values: tuple[float, ...], columns: int, scene: Scene, y: Array, x: Array) -> Array:

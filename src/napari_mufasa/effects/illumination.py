@@ -53,12 +53,13 @@ class IlluminationProfile(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
+        beam = gaussian(scene, (self.centre_y, self.centre_x), self.width)
 
         def profile(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
             if self.form == "beam":  # a Gaussian over even light, which leaves 1 − edge_dimming where it ends
-                beam = gaussian(scene, y, x, (self.centre_y, self.centre_x), self.width)
-                return np.maximum(1 - self.edge_dimming * (1 - beam), 0.0)  # molecules may lie beyond the faintest
+                left_on: Array = 1 - self.edge_dimming * (1 - beam(y, x))
+                return np.maximum(left_on, 0.0)  # molecules may lie beyond the faintest
             if self.seen and self.form == "as_seen":
                 lit: Array = 1 - self.edge_dimming * (1 - relief(self.seen, self.seen_columns, scene, y, x))
                 return lit

@@ -76,6 +76,7 @@ class BackgroundGradient(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
+        hump = gaussian(scene, (self.centre_y, self.centre_x), self.width)
 
         def shape(y: Array, x: Array) -> Array:
             v, u = scene.centred(y, x)
@@ -84,7 +85,7 @@ class BackgroundGradient(Effect):
             elif self.form in ("linear", "as_seen"):  # where nothing was seen
                 rise = (u * np.cos(angle) + v * np.sin(angle)) / 2
             else:
-                rise = gaussian(scene, y, x, (self.centre_y, self.centre_x), self.width)
+                rise = hump(y, x)
             return self.relative_height * rise
 
         # The background believed is that of the field's mean.
