@@ -16,7 +16,7 @@ from napari_mufasa.discover import curves, nuisance
 from napari_mufasa.discover.bench import Bench, Job, as_table
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.read_off import background_beyond, read_off, told_for
+from napari_mufasa.discover.read_off import background_beyond, in_scale_of, read_off, told_for
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.extent import Extent
@@ -118,7 +118,7 @@ class MovieBench(Bench[Observation]):
         if kind == "background_as_measured":
             found = self._background_beyond(beside or self.start)[part]
         else:
-            found = read_off(kind, self.measured.only(part))
+            found = in_scale_of(read_off(kind, self.measured), read_off(kind, self.measured.only(part)))
         extent = self.start.effects_refer_to
         return found if extent is None else told_for(extent, found)
 

@@ -43,6 +43,20 @@ def read_off(kind: str, observation: Observation) -> dict[str, Any]:
     return {} if reader is None else reader(observation)
 
 
+def in_scale_of(whole: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
+    """What a part of the field shows, its course and relief in the scale of what the whole field shows: where they are
+    0 and ±1 hangs on single values and their noise. (Least squares of the whole's values on the part's.)"""
+    found = dict(part)
+    for name in ("course", "seen"):
+        here, there = np.array(part.get(name, ())), np.array(whole.get(name, ()))
+        if here.size and there.size and np.ptp(here) > 0:
+            cells = (np.arange(len(here)) + 0.5) / len(here)
+            there = np.interp(cells, (np.arange(len(there)) + 0.5) / len(there), there)
+            slope, offset = np.polyfit(here, there, 1)
+            found[name] = tuple((offset + slope * here).round(4).tolist())
+    return found
+
+
 def told_for(extent: Extent, found: dict[str, Any]) -> dict[str, Any]:
     """Parameters that were read off a part of a movie, as an effect gives them that speaks of an extent around it
     (shares of the part); beyond the part, what was seen at its end."""

@@ -305,11 +305,11 @@ def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> No
     moved = spots.displacement_px[keep]
     own = moved - np.nan_to_num(_nanmedian(moved))
     for lag in (1, 3, max(1, moved.shape[1] // 2)):
-        steps = ((own[:, lag:] - own[:, :-lag]) ** 2).sum(axis=2)
+        steps = _nanmean(((own[:, lag:] - own[:, :-lag]) ** 2).sum(axis=2))
+        steps = steps[np.isfinite(steps)]
         name = "half" if lag > 3 else str(lag)
-        table.log(
-            f"individual_shift_{name}", _mean(steps, 0.1), f"own displacement² over {lag} blocks", "px, each spot"
-        )
+        mean = _trimmed_mean(steps) if steps.size else 0.1  # one that jumped to a neighbour that lit up is trimmed
+        table.log(f"individual_shift_{name}", mean, f"own displacement² over {lag} blocks", "px, each spot")
     late_minus_early = _nanmean(own[:, -3:]) - _nanmean(own[:, :3])
     centre = spots.positions_px[keep] - spots.positions_px[keep].mean(axis=0) if keep.any() else np.zeros((0, 2))
     ok = np.isfinite(late_minus_early).all(axis=1)
