@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover.read_off import background_beyond, read_off
+from napari_mufasa.discover.read_off import background_beyond, in_scale_of, read_off
 from napari_mufasa.effects.illumination import IlluminationProfile
 from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
-from napari_mufasa.observe.summary import HIGHEST, _gap_lengths, _slope, trace_kinetics
+from napari_mufasa.observe.summary import HIGHEST, Part, _gap_lengths, _slope, mean_shape, molecules, trace_kinetics
 from napari_mufasa.observe.table import Table
 from napari_mufasa.simulate.movie import SimulatedAcquisition
 from napari_mufasa.spots.evidence import block_means
@@ -101,6 +101,51 @@ def test_expansion_is_not_ruled_by_one_spot_that_jumped():
     moved[7] += 40
     assert _slope(place, moved) == pytest.approx(0.02, abs=0.001)
     assert _slope(np.zeros(0), np.zeros(0)) == 0.0
+
+
+def test_the_mean_shape_is_not_ruled_by_pairs_that_pass_for_one_spot():
+    """Thirty spots 5 % of a pixel² longer along y, four of them five pixels² longer along x."""
+    rng = np.random.default_rng(0)
+    excess = np.array([0.05, 0.0, 0.0]) + 0.01 * rng.standard_normal((30, 10, 3))
+    excess[:4, :, 1] += 5.0
+    light = rng.uniform(50, 100, (30, 10))
+    spots = SimpleNamespace(shape=excess * light[..., None], shape_weight=light)
+    everyone, nobody = np.ones(30, bool), np.zeros(30, bool)
+    # 0.01 over √(15 molecules × 10 blocks) is 0.0008; the four shift the middle half by a tenth of a spread.
+    np.testing.assert_allclose(mean_shape(spots, everyone, range(10)), [0.05, 0.0, 0.0], atol=0.004)
+    np.testing.assert_array_equal(mean_shape(spots, nobody, range(10)), 0.0)
+
+
+def test_own_displacement_is_not_ruled_by_a_spot_that_jumps_to_a_neighbour():
+    model = standing_apart()
+    found = observe(nm.simulate(model, seed=3).movie, model)
+    jumped = found.spots.displacement_px.copy()
+    jumped[:2, 5:] += 2.5
+    other, states = replace(found.spots, displacement_px=jumped), found.states
+    own = []
+    for spots in (found.spots, other):
+        table = Table()
+        molecules(table, spots, states, Part((1, 2), np.ones(len(jumped), bool)), (96, 96))
+        own.append(np.exp(table.values["individual_shift_half"]))
+    assert own[1] < 1.3 * own[0]  # the mean rises by 2 · 6.25 · 2 / 40 = 0.6 px², a hundred times what it was
+
+
+@pytest.mark.parametrize("name", ["course", "seen"])
+def test_what_a_half_shows_is_told_in_the_scale_of_the_whole(name):
+    """Its own largest and first values are matters of noise."""
+    rng = np.random.default_rng(0)
+    truth = np.cumsum(rng.standard_normal(60))
+
+    def read(values):
+        values = values - values[0]
+        return {name: tuple(values / np.abs(values).max()), "form": "whatever"}
+
+    whole, half = read(truth), read(truth + 0.5 * rng.standard_normal(60))
+    scaled = in_scale_of(whole, half)
+    rest = np.array(scaled[name]) - whole[name]
+    assert abs(rest.mean()) < 1e-4 < np.abs(np.subtract(half[name], whole[name]).mean())
+    assert rest.std() < 0.5 * np.std(whole[name]) and scaled["form"] == "whatever"
+    assert in_scale_of({name: ()}, half) == half and in_scale_of(whole, {name: ()}) == {name: ()}
 
 
 @pytest.mark.parametrize("axis_deg", [20.0, 135.0])

@@ -79,10 +79,13 @@ def verdict_of(inquiry: Standing) -> Verdict:
 
 
 def _one_is_off(before: State, state: State, x: NDArray[np.float64]) -> bool:
-    """Is one observable so far off that chance would leave none of them there, and mostly still as far as before?"""
+    """Was one observable so far off, and is so still, that chance would leave none of them there, on the same side and
+    mostly as far? What an effect has put off itself is the error of its form."""
     off, was_off = (each.adjusted(x).soft[state.measurable] for each in (state, before))
-    beyond_chance = np.abs(off) > stats.norm.isf(STILL_OFF / (2 * off.size))
-    return bool(np.any(beyond_chance & (np.abs(stretch(off)) > (1 - EXPLAINED) * np.abs(stretch(was_off)))))
+    by_chance = stats.norm.isf(STILL_OFF / (2 * off.size))
+    beyond_chance = np.minimum(np.abs(off), np.abs(was_off)) > by_chance
+    left = stretch(off) / np.where(beyond_chance, stretch(was_off), np.inf)
+    return bool(np.any(left > 1 - EXPLAINED))
 
 
 def _history(inquiry: Standing) -> list[dict[str, Any]]:

@@ -46,16 +46,16 @@ def begun(library: Library, state: State, starts: Sequence[Effect], x: Array) ->
     """The state with the best of `starts` (one effect in different forms) beside its effects, at its best shape and
     strength, free in both but for what the measurement shows of it directly."""
     seen = set(library.bench.read_off(starts[0].kind))
-    effect = _climbed(library, state, _best_shape(library, state, starts, seen, x), x)
-    coordinates = [c for c in Coordinate.of(effect, state.model) if c.name not in seen]
-    free = (*state.free, *(f"{effect.kind}.{c.name}" for c in coordinates))
-    local = replace(state, model=library.beside(state, effect), free=free)
-    return _linearised(library, state, local, coordinates)
+    climbed = [_climbed(library, state, start, x) for start in _best_shapes(library, state, starts, seen, x)]
+    promising, nearest = climbed[0], min(climbed, key=lambda found: found[1])
+    finalists = [promising] if nearest is promising else [promising, nearest]
+    found = [_linearised(library, state, effect, seen) for effect, _ in finalists]
+    return min(found, key=lambda begun_here: begun_here.misfit(x))
 
 
-def _best_shape(library: Library, state: State, starts: Sequence[Effect], known: set[str], x: Array) -> Effect:
-    """What explains most: one of `starts`, or one of them in a few shapes across the plausible range of each of its
-    shape parameters that is not `known`: forms are compared where each of them is at its best."""
+def _best_shapes(library: Library, state: State, starts: Sequence[Effect], known: set[str], x: Array) -> list[Effect]:
+    """Of each form what promises most: one of `starts`, or one of them in a few shapes across the plausible range of
+    each of its shape parameters that is not `known`: forms are compared where each of them is at its best."""
     trials, start = list(starts), starts[0]
     plausible, known = type(start).plausible(state.model), known | {start.strength}
     for trial in starts:
@@ -65,17 +65,18 @@ def _best_shape(library: Library, state: State, starts: Sequence[Effect], known:
                 value = low * (high / low) ** u if log else low + (high - low) * u
                 trials.append(changed(trial, {name: value}))
     if len(trials) == 1:
-        return start
+        return [start]
     rows = library.simulated([(library.beside(state, trial), k) for k, trial in enumerate(trials)])
     shift = rows - library.rows[: len(trials)]
     reached = state.mean - library.base.mean  # by the effects that are in the model already
     none = start.none_at(state.model)
     rays = [Ray(trial, change - reached, none) for trial, change in zip(trials, shift, strict=True)]
-    return state.screen(x, {start.kind: rays})[start.kind][0].start()
+    return [lead.start() for lead in state.screen(x, {start.kind: rays})[start.kind]]
 
 
-def _climbed(library: Library, state: State, start: Effect, x: Array) -> Effect:
-    """`start` at the best of a ladder of strengths, each simulated once; it grows while its end is best."""
+def _climbed(library: Library, state: State, start: Effect, x: Array) -> tuple[Effect, float]:
+    """`start` at the best of a ladder of strengths, each simulated once, and the misfit there; it grows while its end
+    is best."""
     none = start.none_at(state.model)
 
     def misfits(factors: list[float]) -> dict[float, float]:
@@ -89,12 +90,16 @@ def _climbed(library: Library, state: State, start: Effect, x: Array) -> Effect:
         if min(found) < best < max(found):
             break
         found |= misfits([best * LADDER if best > 1 else best / LADDER])
-    return scaled(start, min(found, key=lambda f: found[f]), none)
+    best = min(found, key=lambda f: found[f])
+    return scaled(start, best, none), found[best]
 
 
-def _linearised(library: Library, state: State, local: State, coordinates: list[Coordinate]) -> State:
-    """The neighbourhood of `local.model`: mean, slopes and spread from paired simulations around it."""
-    effect, n = local.model.effects[-1], len(coordinates)
+def _linearised(library: Library, state: State, effect: Effect, known: set[str]) -> State:
+    """The state with an effect beside the others, free but for what is `known` of it: mean, slopes and spread from
+    paired simulations around it."""
+    coordinates = [c for c in Coordinate.of(effect, state.model) if c.name not in known]
+    free = (*state.free, *(f"{effect.kind}.{c.name}" for c in coordinates))
+    local, n = replace(state, model=library.beside(state, effect), free=free), len(coordinates)
     offsets = _design(AROUND, n, WIDTH, np.random.default_rng([library.bench.seed, AROUND]))
     settings = [{c.name: c.value_at(effect, b) for c, b in zip(coordinates, by, strict=True)} for by in offsets]
     jobs = [(local.model.with_effects(changed(effect, setting)), k) for k, setting in enumerate(settings)]

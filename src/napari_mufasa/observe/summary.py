@@ -323,9 +323,16 @@ def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> No
 
 
 def mean_shape(spots: Spots, keep: NDArray[Any], blocks: Sequence[int] | NDArray[np.int64]) -> Array:
-    """Mean excess of PSF variance along y, along x, and covariance (3,), px², of these molecules in these blocks."""
-    weight = max(float(spots.shape_weight[keep][:, blocks].sum()), 1e-6)
-    mean: Array = spots.shape[keep][:, blocks].sum(axis=(0, 1)) / weight
+    """Mean excess of PSF variance along y, along x, and covariance (3,), px², of these molecules in these blocks: of
+    the middle half of them, for a few pairs that pass for one spot would rule it."""
+    weight = spots.shape_weight[keep][:, blocks].sum(axis=1)
+    lit = weight > 0
+    if not lit.any():
+        return np.zeros(3)
+    weight, shape = weight[lit], spots.shape[keep][:, blocks].sum(axis=1)[lit]
+    drop = len(weight) // 4
+    middle = np.argsort(shape / weight[:, None], axis=0)[drop : len(weight) - drop]  # (molecule, component)
+    mean: Array = np.take_along_axis(shape, middle, axis=0).sum(axis=0) / weight[middle].sum(axis=0)
     return mean
 
 
