@@ -42,11 +42,14 @@ def started(library: Library, state: State, leads: Sequence[Lead], x: Array) -> 
     return min(found, key=lambda s: s.misfit(x) - PLAIN * (s.model.effects[-1].chosen == plain))
 
 
-def begun(library: Library, state: State, starts: Sequence[Effect], x: Array) -> State:
+def begun(library: Library, state: State, starts: Sequence[Effect], x: Array, apart: bool = False) -> State:
     """The state with the best of `starts` (one effect in different forms) beside its effects, at its best shape and
-    strength, free in both but for what the measurement shows of it directly."""
+    strength, free in both but for what the measurement shows of it directly. The form is the one that promises most;
+    where the forms are judged `apart`, or that which is nearest on its ladder of strengths, if it is nearer once begun.
+    """
     seen = set(library.bench.read_off(starts[0].kind))
-    climbed = [_climbed(library, state, start, x) for start in _best_shapes(library, state, starts, seen, x)]
+    shapes = _best_shapes(library, state, starts, seen, x)
+    climbed = [_climbed(library, state, shape, x) for shape in (shapes if apart else shapes[:1])]
     promising, nearest = climbed[0], min(climbed, key=lambda found: found[1])
     finalists = [promising] if nearest is promising else [promising, nearest]
     found = [_linearised(library, state, effect, seen) for effect, _ in finalists]

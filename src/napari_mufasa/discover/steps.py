@@ -209,7 +209,7 @@ class Steps(Standing):
         known = stand.library.formed
         if kind not in known:
             others = _other_forms(stand.state.model, kind)
-            known[kind] = begun(stand.library, stand.without(kind), others, stand.x) if others else None
+            known[kind] = begun(stand.library, stand.without(kind), others, stand.x, apart=True) if others else None
         return known[kind]
 
     def _merged(self, kind: str, spared: str, needed: float) -> Stand | None:
@@ -218,7 +218,7 @@ class Steps(Standing):
         stand = self.stand
         if not (others := _other_forms(stand.state.model, kind)):
             return None
-        state = begun(stand.library, joint.removed(stand.library, kind, spared), others, stand.x)
+        state = begun(stand.library, joint.removed(stand.library, kind, spared), others, stand.x, apart=True)
         if not self._settle(state, below=stand.misfit + needed):
             return None
         lesser = self.stands.pop()
