@@ -13,7 +13,7 @@ from pathlib import Path
 from drawing import arguments, save
 
 from napari_mufasa.report.plots.themes import figure, style
-from napari_mufasa.report.words import effect_title
+from napari_mufasa.report.words import in_text
 
 KEPT = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "real_movies.json"
 
@@ -29,7 +29,7 @@ def main() -> None:
             without = sorted(errors["without"].items(), key=lambda item: -item[1])
             shown = [
                 ("model believed", errors["before"], colours.before),
-                *((f"without {effect_title(kind).lower()}", error, colours.muted) for kind, error in without),
+                *((f"without {in_text(kind)}", error, colours.muted) for kind, error in without),
                 ("completed model", errors["after"], colours.after),
             ]
             labels, values, colour = zip(*shown, strict=True)

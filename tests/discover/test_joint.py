@@ -310,6 +310,33 @@ def test_one_effect_in_another_form_takes_the_place_of_two_rivals(monkeypatch, r
     assert asked.chosen == left and (len(left) == 2 or asked.state.model.effects[0].form == "steady")
 
 
+class WindingBench(ToyBench):
+    """What switching pixels do turns with their number, so that a strong setting says nothing of a weak one."""
+
+    def law(self, model):
+        hot = [effect for effect in model.effects if effect.kind == "hot_pixels"]
+        others = tuple(effect for effect in model.effects if effect.kind != "hot_pixels")
+        total = super().law(model.model_copy(update={"effects": others}))
+        for effect in hot:
+            turn = np.pi / 2 * np.log(effect.fraction / 5e-3) / np.log(2.2)
+            switching = self.one * np.cos(turn) + self.two * np.sin(turn)
+            steady = 0.5 * (self.one + self.three) * np.log1p(effect.fraction / 1e-3)
+            total = total + (steady if effect.form == "steady" else switching)
+        return total
+
+
+def test_forms_judged_apart_are_told_by_their_ladders_not_by_what_one_strength_promises():
+    bench = WindingBench()
+    stand = stand_of(bench, bench.start.with_effects(HOT(fraction=5e-3, form="telegraph")))
+    forms = [HOT(fraction=1.1e-2, form=form) for form in ("steady", "telegraph")]
+    found = {apart: begun(stand.library, stand.state, forms, stand.x, apart=apart) for apart in (False, True)}
+    assert {apart: state.model.effects[-1].form for apart, state in found.items()} == {
+        False: "steady",
+        True: "telegraph",
+    }
+    assert found[True].misfit(stand.x) < found[False].misfit(stand.x)
+
+
 class BentBench(ToyBench):
     """With hot pixels more light lowers what it raises without them: the base model's derivative leads astray."""
 

@@ -118,7 +118,9 @@ class MovieBench(Bench[Observation]):
         if kind == "background_as_measured":
             found = self._background_beyond(beside or self.start)[part]
         else:
-            found = in_scale_of(read_off(kind, self.measured), read_off(kind, self.measured.only(part)))
+            found = read_off(kind, self.measured.only(part))
+            if part != "all":
+                found = in_scale_of(read_off(kind, self.measured), found)
         extent = self.start.effects_refer_to
         return found if extent is None else told_for(extent, found)
 

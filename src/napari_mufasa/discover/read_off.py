@@ -50,9 +50,7 @@ def in_scale_of(whole: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
     for name in ("course", "seen"):
         here, there = np.array(part.get(name, ())), np.array(whole.get(name, ()))
         if here.size and there.size and np.ptp(here) > 0:
-            cells = (np.arange(len(here)) + 0.5) / len(here)
-            there = np.interp(cells, (np.arange(len(there)) + 0.5) / len(there), there)
-            slope, offset = np.polyfit(here, there, 1)
+            slope, offset = np.polyfit(here, _resampled(there, 0, (0.0, 1.0), len(here)), 1)
             found[name] = tuple((offset + slope * here).round(4).tolist())
     return found
 
@@ -74,11 +72,11 @@ def told_for(extent: Extent, found: dict[str, Any]) -> dict[str, Any]:
     return told
 
 
-def _resampled(values: Array, axis: int, bounds: tuple[float, float]) -> Array:
-    """Values at the centres of equal cells of a part along an axis, as those of about as large cells between
-    `bounds` (shares of the part)."""
+def _resampled(values: Array, axis: int, bounds: tuple[float, float], cells: int | None = None) -> Array:
+    """Values at the centres of equal cells of a part along an axis, as those of so many `cells` between `bounds`
+    (shares of the part); None: of about as large ones."""
     n, (start, stop) = values.shape[axis], bounds
-    cells = max(1, round(n * (stop - start)))
+    cells = max(1, round(n * (stop - start))) if cells is None else cells
     at = start + (stop - start) * (np.arange(cells) + 0.5) / cells
     found: Array = np.apply_along_axis(lambda row: np.interp(at, (np.arange(n) + 0.5) / n, row), axis, values)
     return found
