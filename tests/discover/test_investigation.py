@@ -39,6 +39,15 @@ def investigation(budget=None):
     return Investigation(movie, model, dark, seed=2, effects=KINDS, budget=budget)
 
 
+def in_fading_light(rival="photobleaching"):
+    """A laser that fades, and row noise. (Of 14 molecules the first match sees none or 168, as the last digits of a
+    machine fall.)"""
+    model = small().with_values({"sample.n_molecules": 30, "acquisition.shape_px": (64, 64)})
+    truth = model.with_effects(effect_class("laser_drift")(change=-0.4), effect_class("row_noise")(rms_adu=12.0))
+    movie, kinds = nm.simulate(truth, seed=5).movie, ["laser_drift", rival, "row_noise"]
+    return Investigation(movie, model, nm.simulate_dark(truth, 20, 6), seed=2, effects=kinds)
+
+
 @pytest.fixture(scope="module")
 def inquiry():
     inquiry = investigation()
@@ -245,19 +254,20 @@ class Climb:
     """An investigation that takes up one effect a look, far from its floor until the last; each doubted is dropped."""
 
     def __init__(self, kinds, far_off, apart=True):
-        self.left, self.far_off, self.chosen, self.told, self.apart = list(kinds), far_off, [], [], apart
+        self.ahead, self.far_off, self.chosen, self.told, self.apart = list(kinds), far_off, [], [], apart
+        self.left, self.stands = 100, []
 
     @property
     def stand(self):
-        leads = [[[SimpleNamespace(kind=kind, gain=30.0)]] for kind in self.left[:2]]
+        leads = [[[SimpleNamespace(kind=kind, gain=30.0)]] for kind in self.ahead[:2]]
         return SimpleNamespace(
-            content=False, alarmed=True, far_off=len(self.left) in self.far_off, promising=lambda but: leads,
+            content=False, alarmed=True, far_off=len(self.ahead) in self.far_off, promising=lambda but: leads,
             stands_apart=lambda lead: self.apart, kin=lambda lead: set(self.chosen[:1]),
         )  # fmt: skip
 
     def take_up(self, leads):
-        self.told.append(f"take up {self.left[0]}")
-        self.chosen.append(self.left.pop(0))
+        self.told.append(f"take up {self.ahead[0]}")
+        self.chosen.append(self.ahead.pop(0))
         return set()
 
     def prune(self, sure=False):
@@ -275,7 +285,7 @@ class Climb:
     def widen(self):
         return False
 
-    deepen = merge = widen
+    deepen = merge = begin_afresh = widen
 
     def exchange(self, waiting=None, kinds=None):
         if waiting is not None:
@@ -307,14 +317,74 @@ def test_other_forms_come_first_where_they_promise_more_than_all_that_waits():
     assert told[:3] == ["take up one", forms[0], "take up two"]
 
 
+class TwoWays(Climb):
+    """One effect by either way; the second leaves so much error."""
+
+    def __init__(self, second, content=False):
+        super().__init__(["one"], far_off=(0,))
+        self.second, self.content, self.stands = second, content, [SimpleNamespace(error=1.5)]
+
+    @property
+    def stand(self):
+        return SimpleNamespace(**vars(super().stand) | {"content": self.content and not self.ahead})
+
+    def take_up(self, leads):
+        self.told.append(f"{self.reserve} of {self.left} kept")
+        return super().take_up(leads)
+
+    def begin_afresh(self):
+        self.told.append("afresh")
+        self.stands = [SimpleNamespace(error=self.second)]
+        return True
+
+
+@pytest.mark.parametrize(("second", "kept"), [(1.4, 1.4), (1.6, 1.5)])
+def test_what_a_first_way_leaves_unexplained_is_gone_at_a_second_time_with_half_the_budget(second, kept):
+    both = TwoWays(second)
+    assert play(both, None) == ["50 of 100 kept", "take up one", "judge", "afresh", "judge"]
+    assert both.reserve == 0 and both.stands[-1].error == kept
+    assert "afresh" not in play(TwoWays(second, content=True), None)
+
+
+def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():
+    """Values that were led astray do not come along; what the effects have come to does."""
+    inquiry = investigation()
+    inquiry.add(*HIDDEN)
+    first, found = inquiry.stands
+    brightness = 1.6 * found.state.model.optics.brightness_correction
+    astray = found.state.model.with_values({"optics.brightness_correction": brightness, "sample.n_molecules": 36})
+    inquiry._stand_at(joint.seen_from(found.library, astray, KINDS))
+    assert inquiry.stand.error > 1.5 * found.error
+    assert inquiry.begin_afresh()
+    assert len(inquiry.stands) == 2 and inquiry.first.state is first.state and set(inquiry.chosen) == MISSING
+    assert inquiry.stand.error < 1.25 * found.error
+    assert set(inquiry.stand.library.rays) == set(KINDS) - MISSING
+    assert not inquiry.begin_afresh()  # one step has led there: nothing can have been led astray
+    inquiry.stands = stands = [first, found, inquiry.stand]
+    inquiry.budget = inquiry.bench.done + 3 * rules.START
+    assert not inquiry.begin_afresh() and inquiry.stands is stands
+
+
+@pytest.mark.parametrize(("far_off", "beside"), [(True, ["laser_drift"]), (False, [])])
+def test_far_off_what_is_begun_afresh_is_begun_beside_what_could_stand_in_its_place(monkeypatch, far_off, beside):
+    """A laser that fades lets the background fade, too."""
+    inquiry = in_fading_light("background_decay")
+    inquiry.add("background_decay", "row_noise")
+    stand = inquiry.stand
+    monkeypatch.setattr(type(stand), "far_off", far_off)
+    groups = stand.as_cases()
+    kinds = [[forms[0].ray.effect.kind for forms in group] for group in groups]
+    assert kinds == [["background_decay", *beside], ["row_noise"]]
+    effects = {effect.kind: effect for effect in stand.state.model.effects}
+    for start in (group[0][0].start() for group in groups):
+        now = effects[start.kind]
+        assert getattr(start, now.strength) == pytest.approx(getattr(now, now.strength)) and start.chosen == now.chosen
+
+
 @pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])
 def test_what_stands_in_for_something_else_is_exchanged(first):
-    """Falling light lets the spots fade as bleaching does, and the background, too. (Of 14 molecules the first match
-    sees none or 168, as the last digits of a machine fall.)"""
-    model = small().with_values({"sample.n_molecules": 30, "acquisition.shape_px": (64, 64)})
-    truth = model.with_effects(effect_class("laser_drift")(change=-0.4), effect_class("row_noise")(rms_adu=12.0))
-    movie, kinds = nm.simulate(truth, seed=5).movie, ["laser_drift", "photobleaching", "row_noise"]
-    inquiry = Investigation(movie, model, nm.simulate_dark(truth, 20, 6), seed=2, effects=kinds)
+    """Falling light lets the spots fade as bleaching does, and the background, too."""
+    inquiry = in_fading_light()
     inquiry.add(first, "row_noise")
     error = inquiry.stand.error
     exchanged = inquiry.exchange()

@@ -101,11 +101,29 @@ def diagnose_traces(
 
 
 def play(inquiry: Investigation, max_effects: int | None) -> Report:
-    """The whole conversation: what explains the misfit is taken up together and fitted together until nothing more
-    promises anything; what does not earn its place goes again, and another look is taken, until all that is left has
-    earned it, or the budget is spent."""
+    """The whole conversation, by one way and, where that leaves something unexplained, by a second: what it has ended
+    with begun afresh. The one that leaves less is kept."""
     inquiry.examine()
     ranking = inquiry.rank(0)
+    inquiry.reserve = inquiry.left // 2
+    _one_way(inquiry, max_effects)
+    inquiry.reserve = 0
+    first_way = inquiry.stands
+    if inquiry.chosen and not inquiry.stand.content and inquiry.begin_afresh():
+        _one_way(inquiry, max_effects)
+        inquiry.stands = min(first_way, inquiry.stands, key=lambda stands: stands[-1].error)
+    if inquiry.chosen and inquiry.stand.content:
+        inquiry.exchange()
+    while inquiry.merge():
+        inquiry.prune()
+    inquiry.ranking = [candidate for candidate in ranking if candidate.effect not in inquiry.chosen]
+    return inquiry.report()
+
+
+def _one_way(inquiry: Investigation, max_effects: int | None) -> None:
+    """What explains the misfit is taken up together and fitted together until nothing more promises anything; what does
+    not earn its place goes again, and another look is taken, until all that is left has earned it, or the budget is
+    spent."""
     dismissed: dict[str, set[str]] = {}  # kinds taken out again, and beside which others
     while True:
         _climb(inquiry, max_effects, dismissed)
@@ -113,12 +131,6 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         _dismiss(dismissed, dropped, inquiry)
         if inquiry.stand.content or not (dropped or (inquiry.chosen and (inquiry.deepen() or inquiry.exchange()))):
             break
-    if inquiry.chosen and inquiry.stand.content:
-        inquiry.exchange()
-    while inquiry.merge():
-        inquiry.prune()
-    inquiry.ranking = [candidate for candidate in ranking if candidate.effect not in inquiry.chosen]
-    return inquiry.report()
 
 
 def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str, set[str]]) -> None:

@@ -119,7 +119,7 @@ def _sure_of_names(stand: Stand) -> dict[str, tuple[float, tuple[str, ...]]]:
 
 
 def _excess(stand: Stand) -> float:
-    """The misfit beyond what chance leaves, in units of what can just be told from chance (1 %)."""
+    """The misfit beyond what chance leaves, in units of what can just be told from chance."""
     law = stand.null.misfit.law
     usual = float(law.median())
     return max(stand.misfit - usual, 0.0) / max(stand.null.misfit.at(MISFIT_ALARM) - usual, 1e-9)

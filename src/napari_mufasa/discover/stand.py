@@ -182,6 +182,19 @@ class Stand:
         much = [forms for forms in leads if forms[0].gain > share * max(worth.evidence, self.needed)]
         return sorted(much, key=lambda forms: -forms[0].gain)
 
+    def as_cases(self) -> list[list[Case]]:
+        """The added effects as they are, what is worth most first; far off the floor, where one may stand in for
+        another, with each what promises about as much in its place and moves the same."""
+        found = []
+        for kind in sorted(self.added, key=lambda kind: -self.worths[kind].evidence):
+            effect = next(e for e in self.state.model.effects if e.kind == kind)
+            ray = Ray(effect, self.state.mean - self.without(kind).mean, effect.none_at(self.state.model))
+            itself = Lead(self.worths[kind].evidence, ray, 1.0)
+            rivals = self.rivals_of(kind, RIVAL) if self.far_off else []
+            alike = [case for case in rivals if self._vies(case[0], itself)]
+            found.append([[itself], *alike[:RIVALS]])
+        return found
+
     def is_worth(self, worth: Worth) -> bool:
         """Does an effect earn its place: enough evidence, and a lower held-out error?
 

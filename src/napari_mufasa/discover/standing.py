@@ -22,7 +22,8 @@ class Standing:
     of the model believed, then after each step.
 
     kinds : of effects considered · further : those considered where they leave the model far off its floor
-    ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent
+    ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent ·
+    reserve : those of them that are kept for later
     """
 
     def __init__(
@@ -32,6 +33,7 @@ class Standing:
         self.bench, self.believed, self.seed = bench, believed, bench.seed
         self.kinds, self.further = kinds, further
         self.budget = min(BUDGET, BUDGET_VALUES // bench.size) if budget is None else budget
+        self.reserve = 0
         self.stands: list[Stand] = []
         self.ranking: list[Candidate] = []
 
@@ -74,8 +76,8 @@ class Standing:
 
     @property
     def left(self) -> int:
-        """Simulations that may still be spent."""
-        return self.budget - self.bench.done
+        """Simulations that may still be spent, but for the reserve."""
+        return self.budget - self.reserve - self.bench.done
 
     def affords(self, n_effects: int) -> bool:
         """Whether so many effects can be started and settled within the budget, with one step downhill at least; and

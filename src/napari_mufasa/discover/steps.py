@@ -148,6 +148,18 @@ class Steps(Standing):
                         return True
         return False
 
+    def begin_afresh(self) -> bool:
+        """All that is in the model taken up anew beside the model believed (see `Stand.as_cases`), for what was fitted
+        while much was wrong has led values astray. The stands before are left. True where more than one step has led
+        there, and the budget affords that."""
+        groups = self.stand.as_cases()
+        if len(self.stands) < 3 or self.left < sum(len(group) for group in groups) * START + self._settling(0):
+            return False
+        known = replace(self.first.library, rays=self.first.library.rays | self.stand.library.rays)
+        self.stands = [replace(self.first, library=known)]
+        self.take_up(groups)
+        return bool(self.chosen)
+
     def undo(self) -> None:
         """Take the last step back."""
         if len(self.stands) < 2:
