@@ -255,7 +255,7 @@ class Climb:
 
     def __init__(self, kinds, far_off, apart=True):
         self.ahead, self.far_off, self.chosen, self.told, self.apart = list(kinds), far_off, [], [], apart
-        self.left, self.stands = 100, []
+        self.left, self.stands, self.bench = 100, [], SimpleNamespace(is_cheap=False)
 
     @property
     def stand(self):
@@ -344,6 +344,9 @@ def test_what_a_first_way_leaves_unexplained_is_gone_at_a_second_time_with_half_
     assert play(both, None) == ["50 of 100 kept", "take up one", "judge", "afresh", "judge"]
     assert both.reserve == 0 and both.stands[-1].error == kept
     assert "afresh" not in play(TwoWays(second, content=True), None)
+    cheap = TwoWays(second)
+    cheap.bench.is_cheap = True  # values are matched again beside every effect: one way has all the budget
+    assert play(cheap, None) == ["0 of 100 kept", "take up one", "judge"]
 
 
 def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():

@@ -102,14 +102,16 @@ def diagnose_traces(
 
 def play(inquiry: Investigation, max_effects: int | None) -> Report:
     """The whole conversation, by one way and, where that leaves something unexplained, by a second: what it has ended
-    with begun afresh. The one that leaves less is kept."""
+    with begun afresh. The one that leaves less error is kept. Where simulations are cheap, one way has all the budget:
+    values are matched again beside every effect there, which leaves them less room to go astray."""
     inquiry.examine()
     ranking = inquiry.rank(0)
-    inquiry.reserve = inquiry.left // 2
+    twice = not inquiry.bench.is_cheap
+    inquiry.reserve = inquiry.left // 2 if twice else 0
     _one_way(inquiry, max_effects)
     inquiry.reserve = 0
     first_way = inquiry.stands
-    if inquiry.chosen and not inquiry.stand.content and inquiry.begin_afresh():
+    if twice and inquiry.chosen and not inquiry.stand.content and inquiry.begin_afresh():
         _one_way(inquiry, max_effects)
         inquiry.stands = min(first_way, inquiry.stands, key=lambda stands: stands[-1].error)
     if inquiry.chosen and inquiry.stand.content:

@@ -155,8 +155,8 @@ class Steps(Standing):
         groups = self.stand.as_cases()
         if len(self.stands) < 3 or self.left < sum(len(group) for group in groups) * START + self._settling(0):
             return False
-        known = replace(self.first.library, rays=self.first.library.rays | self.stand.library.rays)
-        self.stands = [replace(self.first, library=known)]
+        rays = self.first.library.rays | self.stand.library.rays  # those of effects considered since then, too
+        self.stands = [replace(self.first, library=replace(self.first.library, rays=rays))]
         self.take_up(groups)
         return bool(self.chosen)
 
