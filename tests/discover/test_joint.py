@@ -213,13 +213,13 @@ def test_an_effect_that_promises_nothing_is_started_all_the_same(bench):
 
 
 def test_nothing_is_promising_where_nothing_is_missing(bench):
-    """An alarm is allowed in 1 % of measurements: three and more of 40 have a chance below 1 %."""
+    """An alarm is allowed in 2 % of measurements: four and more of 40 have a chance below 1 %."""
     near = build(bench, bench.start, KINDS)
     null = Null.of(*near.null_distribution())
     alarms = 0
     for number in range(700, 740):
         alarms += bool(Stand(near, (), bench.rows([(bench.start, number)])[0], null, near.base).promising(set()))
-    assert alarms <= stats.binom.isf(0.01, 40, ALARM) == 2
+    assert alarms <= stats.binom.isf(0.01, 40, ALARM) == 3
 
 
 class MaskedBench(ToyBench):

@@ -9,7 +9,7 @@ from napari_mufasa.discover.library import build
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.null import Null
-from napari_mufasa.discover.rules import ALARM, MISFIT_ALARM
+from napari_mufasa.discover.rules import ALARM, BASE_SIMULATIONS, CHECK_SIMULATIONS, MISFIT_ALARM
 
 KINDS = ["laser_drift", "row_noise", "background_gradient", "photobleaching", "stage_drift"]
 MOVIES = 200
@@ -32,12 +32,21 @@ def chances():
 
 
 def test_alarms_are_as_rare_as_they_are_said_to_be(chances):
-    """1 % by evidence and 0.5 % by misfit. The laws are fitted to 72 simulations: their 1.5 % may as well be 3 %, and
-    that is what a whole diagnosis is allowed. More than 15 of 200 then have a chance of 4·10⁻⁴; a calibration that
-    alarms in 12 % is told with 97 %."""
+    """2 % by evidence and 0.5 % by misfit. The laws are fitted to 72 simulations: their 2.5 % may as well be 5 %, and
+    that is what a whole diagnosis is allowed. More than 21 of 200 then have a chance of 5·10⁻⁴; a calibration that
+    alarms in 15 % is told with 96 %."""
     evidence, misfit = chances
     alarms = int(((evidence < ALARM) | (misfit < MISFIT_ALARM)).sum())
-    assert alarms <= stats.binom.isf(1e-3, MOVIES, 0.03) == 15
+    assert alarms <= stats.binom.isf(1e-3, MOVIES, 0.05) == 21
+
+
+def test_one_freak_among_the_simulations_does_not_rule_what_an_effect_must_bring():
+    """Two molecules that chance made neighbours may promise thousands, in one simulation of all."""
+    n = BASE_SIMULATIONS + CHECK_SIMULATIONS
+    values = stats.gumbel_r(10.0, 2.0).ppf((np.arange(n) + 0.5) / n)
+    usual = Null.of(values, values).evidence
+    freak = Null.of(np.append(values[:-1], 5000.0), values).evidence
+    assert len(freak.freaks) == 1 and freak.at(ALARM) < 1.5 * usual.at(ALARM) < 50
 
 
 def test_calibrated_probabilities_are_even(chances):

@@ -144,6 +144,17 @@ def test_staircase_tells_what_would_come_on_top_from_what_came_instead():
         assert any(label.startswith(told) for label in ax.get_legend_handles_labels()[1])
 
 
+def test_no_word_is_broken_under_a_staircase_of_many_steps():
+    kinds = ["illumination_profile", "photobleaching", "brightness_heterogeneity", "background_decay", "binding"]
+    history = [*report().history, *({"added": kind, "error": 1.0} for kind in kinds)]
+    with plotting.style("light"):
+        ax = plotting.figure(6.4, 3.2).add_subplot()
+        plotting.staircase(ax, replace(report(), history=history))
+    shown = [label.get_text() for label in ax.get_xticklabels()]
+    words = {word for name in shown for word in name.split()}
+    assert {"illumination", "Photobleaching", "brightness"} <= words and len(shown) == len(history)
+
+
 def test_evidence_marks_what_cannot_be_told_apart():
     with plotting.style("light") as palette:
         ax = plotting.figure().add_subplot()

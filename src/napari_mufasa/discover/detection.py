@@ -38,7 +38,7 @@ class Power:
     effect : with its parameters · movies : that were simulated with it
     seen : in so many of them it promises more than chance gives the best of all effects (`needed`)
     first : in so many of these it promises most of all · evidence : its median, fall of −2 log likelihood
-    needed : what chance alone exceeds in 1 % of movies without any effect (`rules.ALARM`)
+    needed : what chance alone exceeds in 2 % of movies without any effect (`rules.ALARM`)
     """
 
     effect: Effect

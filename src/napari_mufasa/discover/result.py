@@ -82,7 +82,7 @@ class Report:
     observables : table of all observables: observable, title, unit, where, measured, sd, before, after,
         z_before, z_after
     curves : what to draw
-    evidence_needed : what the best effect must bring for an alarm (a chance of 1 % when nothing is missing)
+    evidence_needed : what the best effect must bring for an alarm (a chance of 2 % when nothing is missing)
     detectable : for each effect not in the model, the smallest strength this data would have shown with 80 % power (or
         None)
     notes : sentences about choices made (crop, subset, what stays off)

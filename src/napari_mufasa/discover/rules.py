@@ -8,7 +8,8 @@ floors, the laws of chance) comes from its own simulations.
 from __future__ import annotations
 
 # The false-alarm budget -------------------------------------------------------------------------------------
-ALARM = 0.01  # when nothing is missing, some effect stands out from chance so often
+ALARM = 0.02  # when nothing is missing, some effect stands out from chance so often (more often than one in all base
+# simulations, or a single freak among them would rule what an effect must bring)
 MISFIT_ALARM = 0.005  # … and the misfit as a whole
 FURTHER = 0.01  # each effect beside another must be worth more than what chance gives the best one so often
 STILL_OFF = 0.001  # … and what an explanation leaves is called unexplained beyond this chance

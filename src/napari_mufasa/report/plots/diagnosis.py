@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from napari_mufasa.discover.result import Candidate, Curve, Report
 
+SLANTING = 20  # characters a line of names that slant
+
 
 def staircase(ax: Axes, report: Report) -> None:
     """The held-out error falling step by step to its floor; beside it the best effects that were not added, instead of
@@ -44,7 +46,12 @@ def staircase(ax: Axes, report: Report) -> None:
     floor = report.error.get("floor")
     if floor is not None:
         ax.axhline(floor, color=p.floor, ls="--", lw=1.2, label=f"floor {floor:.2f}: noise alone")
-    ax.set_xticks(x, [textwrap.fill(name, parts.fit(ax, len(steps))) for name in names])
+    wide = parts.fit(ax, len(steps))
+    if max(len(word) for name in names for word in name.split()) <= wide:
+        ax.set_xticks(x, [textwrap.fill(name, wide) for name in names])
+    else:  # words would be broken
+        slanting = [textwrap.fill(name, SLANTING) for name in names]
+        ax.set_xticks(x, slanting, rotation=35, ha="right", rotation_mode="anchor")
     ax.set_xlim(-0.5, len(steps) - 0.5)
     ax.set_ylim(0, max([*steps, floor or 0.0, *(float(c.error_after or 0) for c in wrong)]) * 1.22)
     ax.set_ylabel("error on held-out data")
