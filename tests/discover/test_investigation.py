@@ -384,6 +384,38 @@ def test_far_off_what_is_begun_afresh_is_begun_beside_what_could_stand_in_its_pl
         assert getattr(start, now.strength) == pytest.approx(getattr(now, now.strength)) and start.chosen == now.chosen
 
 
+def test_one_form_that_took_the_place_of_two_effects_gives_way_to_both():
+    """A square wave has the strength of a sine and of a flicker together: neither another form nor a flicker alone
+    makes more of the movie."""
+    model = small().with_values({"sample.n_molecules": 30, "acquisition.n_frames": 150})
+    modulation = effect_class("periodic_modulation")
+    hidden = (modulation(amplitude=0.1, period_frames=5.64), effect_class("laser_flicker")(rms=0.04))
+    movie = nm.simulate(model.with_effects(*hidden), seed=5).movie
+    inquiry = Investigation(movie, model, seed=2, effects=["periodic_modulation", "laser_flicker"])
+    inquiry.add(modulation(amplitude=0.1, period_frames=5.64, form="square"))
+    one = inquiry.stand
+    assert one.error > 1.3 * one.state.floor and one.leads["laser_flicker"][0].gain < one.needed
+    assert inquiry.exchange()
+    found = {effect.kind: effect for effect in inquiry.model.effects}
+    assert set(found) == {"periodic_modulation", "laser_flicker"} and found["periodic_modulation"].form == "sine"
+    assert inquiry.stand.error < one.error / 1.25
+    assert found["laser_flicker"].rms == pytest.approx(0.04, rel=0.25)
+
+
+@pytest.mark.parametrize(("birge", "told"), [(1.0, {}), (1.5, {"laser_flicker": 9.0})])
+def test_where_misfit_is_left_a_rival_is_harder_to_tell_apart(inquiry, birge, told):
+    """What a likelihood is worth is divided by Birge's ratio squared."""
+    worths = {"laser_drift": Worth(500.0, 3.0, 20.0)}
+    stand = SimpleNamespace(
+        misfit=100.0, birge=birge, worths=worths, x=None,
+        confirming=lambda kind, worth: SimpleNamespace(worths={kind: worth}),
+    )  # fmt: skip
+    begun = inquiry.believed.with_effects(effect_class("laser_flicker")())
+    seen = SimpleNamespace(stand=stand, stands=[stand])
+    steps.Steps._note_rivals(seen, "laser_drift", [SimpleNamespace(model=begun, misfit=lambda x: 109.0)])
+    assert seen.stands[-1].worths["laser_drift"].rivals == told
+
+
 @pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])
 def test_what_stands_in_for_something_else_is_exchanged(first):
     """Falling light lets the spots fade as bleaching does, and the background, too."""

@@ -182,6 +182,19 @@ class Stand:
         much = [forms for forms in leads if forms[0].gain > share * max(worth.evidence, self.needed)]
         return sorted(much, key=lambda forms: -forms[0].gain)
 
+    def companions_of(self, kind: str, beside: State) -> list[Case]:
+        """What could do a part of what an added effect does, as its leads are beside a state with another form of that;
+        what moves most of it first."""
+        moves = self.state.mean - self.without(kind).mean
+        shares = {
+            other: max(_shared(moves, ray.shift, self.state.spread) for ray in rays)
+            for other, rays in self.library.rays.items()
+            if rays and not effect_class(other).describes_only
+        }
+        alike = sorted((other for other in shares if shares[other] > ALIKE), key=lambda other: -shares[other])
+        leads = beside.screen(self.x, {other: self.library.rays[other] for other in alike})
+        return [leads[other] for other in alike]
+
     def as_cases(self) -> list[list[Case]]:
         """The added effects as they are, what is worth most first; far off the floor, where one may stand in for
         another, with each what promises about as much in its place and moves the same."""

@@ -116,20 +116,27 @@ class Steps(Standing):
         return dropped
 
     def exchange(self, waiting: float | None = None, kinds: set[str] | None = None) -> bool:
-        """Try other forms, and rivals, in the place of each effect (of these `kinds`); keep the first that explains
-        more. What could not be told from an effect is noted with its worth. While others are `waiting` that promise so
-        much: no rivals, and no form that promises less."""
+        """Try other forms, and rivals, in the place of each effect (of these `kinds`); then, where misfit is left,
+        another form and what moves the same beside it; keep the first that explains more. What could not be told from
+        an effect is noted with its worth. While others are `waiting` that promise so much: no rivals, no more effects
+        than before, and no form that promises less."""
         least = NEAR if waiting is None else -max(waiting, NEAR)
+        formed: dict[str, State] = {}
         for kind in self.stand.added if kinds is None else [kind for kind in self.stand.added if kind in kinds]:
             stand = self.stand
             if not self.affords(1):
                 return False
             tries = self._begun_without(kind, stand.rivals_of(kind, RIVAL)[:RIVALS] if waiting is None else ())
-            if not stand.content and (formed := self._in_other_forms(kind)) is not None:
-                tries.append(formed)
+            self._note_rivals(kind, tries)
+            if not stand.content and (state := self._in_other_forms(kind)) is not None:
+                formed[kind] = state
+                tries.append(state)
             if self._replaced(kind, tries, least):
                 return True
-        return False
+        pairs = formed.items() if waiting is None else ()
+        return any(
+            self.affords(2) and self._replaced(kind, self._begun_beside(state, kind), least) for kind, state in pairs
+        )
 
     def merge(self) -> bool:
         """Try another form of an effect in the place of itself and of a rival that is worth no more than another form
@@ -214,6 +221,13 @@ class Steps(Standing):
         stand = self.stand
         return [started(stand.library, stand.without(kind), case, stand.x) for case in cases]
 
+    def _begun_beside(self, formed: State, kind: str) -> list[State]:
+        """Beside another form of an effect, one at a time, what moves the same: the form that is in the model may have
+        taken the place of two, and leave nothing for either of them alone."""
+        stand = self.stand
+        cases = stand.companions_of(kind, formed)[:RIVALS]
+        return [started(stand.library, formed, case, stand.x) for case in cases]
+
     def _in_other_forms(self, kind: str) -> State | None:
         """An effect begun in the best of its other forms in its own place; None where it has none, or none that was
         kept when it was tried."""
@@ -236,15 +250,19 @@ class Steps(Standing):
         lesser = self.stands.pop()
         return None if stand.is_worth(_worth_beside(stand, lesser, needed)) else lesser
 
-    def _replaced(self, kind: str, tries: list[State], more: float) -> bool:
+    def _note_rivals(self, kind: str, tries: Sequence[State]) -> None:
+        """Note what was begun in the place of an effect and cannot be told from it; the more misfit is left, the
+        farther off that may be."""
+        stand = self.stand
+        behind = {tried.model.effects[-1].kind: tried.misfit(stand.x) - stand.misfit for tried in tries}
+        if near := {rival: by for rival, by in behind.items() if by < NEAR * stand.birge**2}:
+            self.stands[-1] = stand.confirming(kind, replace(stand.worths[kind], rivals=near))
+
+    def _replaced(self, kind: str, tries: Sequence[State], more: float) -> bool:
         """Settle the best of `tries`, in each of which something else is in the place of an effect, unless it leaves so
         much `more` misfit; keep it where it explains more."""
         stand = self.stand
         tries = sorted(tries, key=lambda state: state.surprise(stand.x))
-        behind = {t.model.effects[-1].kind: t.misfit(stand.x) - stand.misfit for t in tries}
-        if near := {k: by for k, by in behind.items() if k != kind and by < NEAR}:
-            stand = stand.confirming(kind, replace(stand.worths[kind], rivals=near))
-            self.stands[-1] = stand
         surprise = stand.state.surprise(stand.x)
         margin = more if more < 0 else 0.0 if stand.content else 2 * NEAR
         if not tries or tries[0].surprise(stand.x) > surprise + margin:
