@@ -136,6 +136,30 @@ def test_a_row_of_counts_is_the_same_as_one_by_one():
     assert np.array_equal(row, single)
 
 
+@njit
+def quantiles(means, tail, k):
+    variates.poisson_quantiles(means, tail, k)
+
+
+@pytest.mark.parametrize("mean", [variates.SMOOTH, 7.5, 12.0, 30.0, 250.0, 40_000.0])
+def test_a_bright_row_of_counts_follows_the_poisson_law(mean):
+    """Below each count lies the chance that is below it: within 2e-4, and within a tenth of what is left of it in the
+    tails down to 1e-3 (deterministic: each tail gives one count)."""
+    u = (np.arange(100_000) + 0.5) / 100_000
+    tail = np.where(u < 0.5, -u, 1 - u).astype(np.float32)
+    k = np.empty(u.size, np.float32)
+    quantiles(np.full(u.size, mean, np.float32), tail, k)
+    assert np.all(np.diff(k) >= 0)
+    counts = np.arange(int(k.min()), int(k.max()))
+    below = np.searchsorted(k, counts, side="right") / u.size
+    expected = stats.poisson.cdf(counts, mean)
+    assert np.abs(below - expected).max() < 2e-4
+    rest = np.minimum(expected, 1 - expected)
+    far = rest > 1e-3
+    assert np.all(np.abs(below - expected)[far] < 0.1 * rest[far])
+    assert k.mean() == pytest.approx(mean, rel=1e-4) and k.var() == pytest.approx(mean, rel=1e-3)
+
+
 def test_bright_counts_are_the_same_side_by_side_as_one_by_one():
     means = np.random.default_rng(0).uniform(30, 400, 20_000)
     means[::50] = 1e5

@@ -12,9 +12,11 @@ import numpy as np
 
 from napari_mufasa.camera.register import electrons_after_gain
 from napari_mufasa.chance.variates import (
+    SMOOTH,
     gamma,
     normal_quantile,
     poisson,
+    poisson_quantiles,
     poisson_row,
     stream,
     tails,
@@ -27,7 +29,8 @@ from napari_mufasa.compiled import inlined, jit, vectorised
 def detect(expected, shape, kept, frames, key, table, excess, leans):  # type: ignore[no-untyped-def]
     """Photoelectrons times their multiplication noise of mean 1: n electrons become kept·n + (1 − kept)·Gamma(shape·n,
     scale 1/shape), without noise where shape is 0; no electron in, none out. By the quantiles of the register's table,
-    for which its excess noise factor and lean are (`camera.register`); where the table is empty, number by number."""
+    for which its excess noise factor and lean are (`camera.register`); where the table is empty, electrons are drawn first,
+    a row at once, then their noise, if there is any, number by number."""
     n_frames, height, width = expected.shape
     result = np.empty(expected.shape, dtype=np.float32)
     bits, light, tail = np.empty(width, np.uint64), np.empty(width, np.float32), np.empty(width, np.float32)
@@ -41,24 +44,28 @@ def detect(expected, shape, kept, frames, key, table, excess, leans):  # type: i
                     light[x] = max(expected[f, y, x], np.float32(0.0))
                 electrons_after_gain(light, tail, table, excess, leans, cell, scratch, result[f, y])
                 continue
-            uniforms(key, frames[f], y * width, 1, u)
-            # The row at once up to twice its mean, the few brighter pixels one by one.
-            total = 0.0
-            for x in range(width):
-                total += max(expected[f, y, x], 0.0)
-            bright = min(2.0 * total / width + 2.0, 29.9)
-            top = 0.0
-            for x in range(width):
-                mean[x] = max(expected[f, y, x], 0.0) if expected[f, y, x] <= bright else 0.0
-                top = max(top, mean[x])
-            poisson_row(mean, u, int(top + 8.0 * math.sqrt(top) + 9.0), none, below, counts)
-            for x in range(width):
-                n = np.int64(counts[x])
-                if expected[f, y, x] > bright:
-                    n, _ = poisson(expected[f, y, x], stream(key, frames[f], y * width + x))
-                if n == 0 or shape == 0.0:
-                    result[f, y, x] = n
-                else:
+            if expected[f, y].min() >= SMOOTH:
+                tails(key, frames[f], y * width, bits, tail)
+                poisson_quantiles(expected[f, y], tail, result[f, y])
+            else:
+                uniforms(key, frames[f], y * width, 1, u)
+                # The row at once up to twice its mean, the few brighter pixels one by one.
+                total = 0.0
+                for x in range(width):
+                    total += max(expected[f, y, x], 0.0)
+                bright = min(2.0 * total / width + 2.0, 29.9)
+                top = 0.0
+                for x in range(width):
+                    mean[x] = max(expected[f, y, x], 0.0) if expected[f, y, x] <= bright else 0.0
+                    top = max(top, mean[x])
+                poisson_row(mean, u, int(top + 8.0 * math.sqrt(top) + 9.0), none, below, counts)
+                for x in range(width):
+                    result[f, y, x] = counts[x]
+                    if expected[f, y, x] > bright:
+                        result[f, y, x], _ = poisson(expected[f, y, x], stream(key, frames[f], y * width + x))
+            for x in range(width if shape != 0.0 else 0):
+                n = result[f, y, x]
+                if n > 0:
                     amplified, _ = gamma(shape * n, stream(key + np.uint64(1), frames[f], y * width + x))
                     result[f, y, x] = kept * n + (1.0 - kept) * amplified / shape
     return result

@@ -6,7 +6,8 @@ one effect share all other chance, which makes their difference precise. That is
 what a sequential generator cannot give.
 
 splitmix64 is the generator; the variates are textbook ones: normal by its inverse distribution function, Poisson by
-inversion or Hörmann's transformed rejection (PTRS), gamma by Marsaglia and Tsang. Each function takes the state and
+inversion, by its smooth inverse where a whole row is bright, or by Hörmann's transformed rejection (PTRS), gamma by
+Marsaglia and Tsang. Each function takes the state and
 returns (value, new state). `uniforms`, `tails` and `poisson_row` do a whole row of streams in loops that compilers turn
 into vector instructions; they draw the same numbers as one by one.
 Import this module only where a kernel is compiled: it needs numba.
@@ -27,6 +28,7 @@ _SALT = np.uint64(0xD1B54A32D192ED03)
 _INVERSE = np.concatenate(([0.0], 1.0 / np.arange(1, 201)))  # a division per step would double the cost
 _LOG_FACTORIAL = np.array([math.lgamma(k + 1.0) for k in range(2048)])
 INVERTED = 30.0  # Poisson means up to here are drawn by inversion
+SMOOTH = 6.0  # … and those from here on may be by `poisson_quantiles`
 _ONE_BITS, _BELOW_ONE = np.uint64(0x3FF0000000000000), 1.0 - 2.0**-53  # the first: 1 as bits
 _ONE, _ROOT_HALF = np.float32(1.0), np.int32(0x3F3504F3)  # the second: √½ as bits
 _PER_REACH = np.float32(2.0 / 4.709640090068079)
@@ -276,3 +278,18 @@ def poisson_row(mean, u, terms, p, below, k):  # type: ignore[no-untyped-def]
             k[x] += 1.0 if u[x] > below[x] else 0.0
             p[x] *= mean[x] * _INVERSE[term]
             below[x] += p[x]
+
+
+@inlined
+def poisson_quantiles(mean, tail, k):  # type: ignore[no-untyped-def]
+    """Poisson for means from `SMOOTH` on, counts (float32) into k, all (n,): the quantile at a tail (see `tails`), by
+    the first terms of its expansion in 1/√mean about the normal's (Giles, ACM Trans. Math. Softw. 42, 7, 2016). Within
+    2e-4 of the distribution function, and without any branch."""
+    for x in range(mean.size):
+        w, m = normal_quantile(tail[x]), mean[x]
+        root = np.sqrt(m)
+        w2 = w * w
+        constant = np.float32(1 / 3) + w2 * np.float32(1 / 6)
+        first = -w * (np.float32(1 / 36) + w2 * np.float32(1 / 72))
+        second = np.float32(-8 / 405) + w2 * (np.float32(7 / 810) + w2 * np.float32(1 / 270))
+        k[x] = max(np.floor(m + root * w + constant + (first + second / root) / root), np.float32(0.0))
