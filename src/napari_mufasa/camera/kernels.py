@@ -29,8 +29,8 @@ from napari_mufasa.compiled import inlined, jit, vectorised
 def detect(expected, shape, kept, frames, key, table, excess, leans):  # type: ignore[no-untyped-def]
     """Photoelectrons times their multiplication noise of mean 1: n electrons become kept·n + (1 − kept)·Gamma(shape·n,
     scale 1/shape), without noise where shape is 0; no electron in, none out. By the quantiles of the register's table,
-    for which its excess noise factor and lean are (`camera.register`); where the table is empty, electrons are drawn first,
-    a row at once, then their noise, if there is any, number by number."""
+    for which its excess noise factor and lean are (`camera.register`); where the table is empty, electrons are drawn
+    first, a row at once, then their noise, if there is any, number by number."""
     n_frames, height, width = expected.shape
     result = np.empty(expected.shape, dtype=np.float32)
     bits, light, tail = np.empty(width, np.uint64), np.empty(width, np.float32), np.empty(width, np.float32)
