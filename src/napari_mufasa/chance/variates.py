@@ -267,8 +267,8 @@ def exp_minus(mean, out):  # type: ignore[no-untyped-def]
 def poisson_row(mean, u, terms, p, below, k):  # type: ignore[no-untyped-def]
     """Poisson by inversion of u for means up to 30, all (n,): counts into k (float64); p and below are scratch.
 
-    `terms` is how many terms of the distribution are summed at most, enough for the largest mean; the sum ends once no u
-    lies above it.
+    `terms` is how many terms of the distribution are summed at most, enough for the largest mean; the sum ends once
+    no u lies above it.
     """
     exp_minus(mean, p)
     for x in range(mean.size):
