@@ -216,10 +216,11 @@ def _knots(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _interpolate(values: NDArray[np.floating], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    inner = np.interp(values, x, y)
-    below = y[0] + (values - x[0]) * (y[1] - y[0]) / (x[1] - x[0])
-    above = y[-1] + (values - x[-1]) * (y[-1] - y[-2]) / (x[-1] - x[-2])
-    result: NDArray[np.float64] = np.where(values < x[0], below, np.where(values > x[-1], above, inner))
+    """The line through the knots at `values`, continued at either end: its first slope, and its change at each knot."""
+    slopes = np.diff(y) / np.diff(x)
+    result: NDArray[np.float64] = y[0] + slopes[0] * (values - x[0])
+    for knot, change in zip(x[1:-1], np.diff(slopes), strict=True):
+        result += change * np.maximum(values - knot, 0.0)
     return result
 
 
