@@ -7,9 +7,9 @@ what a sequential generator cannot give.
 
 splitmix64 is the generator; the variates are textbook ones: normal by its inverse distribution function, Poisson by
 inversion, by its smooth inverse where a whole row is bright, or by Hörmann's transformed rejection (PTRS), gamma by
-Marsaglia and Tsang. Each function takes the state and
-returns (value, new state). `uniforms`, `tails` and `poisson_row` do a whole row of streams in loops that compilers turn
-into vector instructions; they draw the same numbers as one by one.
+Marsaglia and Tsang. Each function takes the state and returns (value, new state). `uniforms`, `tails`, `poisson_row` and
+`poisson_quantiles` do a whole row of streams in loops that compilers turn into vector instructions; all but the last draw
+the same numbers as one by one.
 Import this module only where a kernel is compiled: it needs numba.
 """
 
@@ -290,7 +290,7 @@ def poisson_row(mean, u, terms, p, below, k):  # type: ignore[no-untyped-def]
 def poisson_quantiles(mean, tail, k):  # type: ignore[no-untyped-def]
     """Poisson for means from `SMOOTH` on, counts (float32) into k, all (n,): the quantile at a tail (see `tails`), by
     the first terms of its expansion in 1/√mean about the normal's (Giles, ACM Trans. Math. Softw. 42, 7, 2016). Within
-    5e-5 of the distribution function, and without any branch. (Below, too many rows would show none.)"""
+    5e-5 of the distribution function, and without any branch; for smaller means it would give zero too often."""
     for x in range(mean.size):
         w, m = normal_quantile(tail[x]), mean[x]
         root = np.sqrt(m)
