@@ -7,9 +7,9 @@ what a sequential generator cannot give.
 
 splitmix64 is the generator; the variates are textbook ones: normal by its inverse distribution function, Poisson by
 inversion, by its smooth inverse where a whole row is bright, or by Hörmann's transformed rejection (PTRS), gamma by
-Marsaglia and Tsang. Each function takes the state and returns (value, new state). `uniforms`, `tails`, `poisson_row` and
-`poisson_quantiles` do a whole row of streams in loops that compilers turn into vector instructions; all but the last draw
-the same numbers as one by one.
+Marsaglia and Tsang. Each function takes the state and returns (value, new state). `uniforms`, `tails`, `poisson_row`
+and `poisson_quantiles` do a whole row of streams in loops that compilers turn into vector instructions; all but the
+last draw the same numbers as one by one.
 Import this module only where a kernel is compiled: it needs numba.
 """
 
