@@ -111,6 +111,24 @@ def test_nuisance_values_keep_their_distance_from_where_they_started_however_oft
     assert nuisance.kept(beyond, values).sample.n_molecules == pytest.approx(60 * np.exp(towards), abs=0.5)
 
 
+def test_what_is_believed_of_a_value_stays_in_reach_wherever_the_first_match_has_put_it():
+    """Beside hits of cosmic rays, which look like spots, 20 molecules were matched by 257."""
+    believed = nm.preset("FF").with_values(
+        {"sample.n_molecules": 50, "acquisition.shape_px": (96, 96), "camera.baseline_adu": 9000.0}
+    )
+    matched = believed.with_values({"sample.n_molecules": 257, "camera.baseline_adu": 9500.0})
+    values = nuisance.nuisances(matched, believed)
+    few, many = (
+        nuisance.kept(believed.with_values({"sample.n_molecules": n}), values).sample.n_molecules for n in (1, 5000)
+    )
+    assert few == pytest.approx(50 * np.exp(-1), abs=0.5) and many == pytest.approx(257 * np.exp(1), abs=0.5)
+    free = [n.path for n in values]
+    baseline = next(n for n in values if n.path == "camera.baseline_adu")
+    ends = room(matched, values, free)[:, free.index("camera.baseline_adu")]
+    reach = nuisance.REACH * baseline.prior
+    np.testing.assert_allclose(ends, [-500.0 - reach, reach])
+
+
 def test_a_lead_does_not_take_credit_for_a_value_at_its_end():
     """Misfit along a direction that a free value may not follow any farther is nothing that an idle ray explains."""
     state = toy_state()

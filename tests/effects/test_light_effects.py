@@ -73,6 +73,24 @@ def test_laser_drift_is_the_ratio_of_last_to_first(form, change):
     np.testing.assert_allclose(empty, 20 * light, rtol=1e-5)
 
 
+@pytest.mark.parametrize("settling_time", [0.1, 0.5])
+def test_what_settles_has_done_so_by_all_but_one_in_e_within_its_time(settling_time):
+    drift = effect("laser_drift", change=0.4, form="saturating", settling_time=settling_time)
+    light = scene_of(plain(n_frames=101).with_effects(drift)).light
+    whole = 0.4 / (1 - np.exp(-1 / settling_time))  # what it would come to in the end
+    assert light[round(100 * settling_time)] - 1 == pytest.approx(whole * (1 - np.exp(-1)), rel=1e-9)
+    half = light[round(50 * settling_time)] - 1
+    assert half == pytest.approx(whole * (1 - np.exp(-0.5)), rel=1e-9)
+
+
+def test_what_settles_slowly_is_linear():
+    slow, straight = (
+        scene_of(plain(n_frames=50).with_effects(effect("laser_drift", change=0.4, **form))).light
+        for form in ({"form": "saturating", "settling_time": 500.0}, {"form": "linear"})
+    )
+    np.testing.assert_allclose(slow, straight, atol=2e-4)
+
+
 def test_wandering_drift_stays_within_its_change():
     light = scene_of(plain(n_frames=200).with_effects(effect("laser_drift", change=-0.3, form="wandering"))).light
     assert np.abs(light - 1).max() == pytest.approx(0.3) and light[0] == 1.0

@@ -97,7 +97,7 @@ class MovieBench(Bench[Observation]):
         return super().size + (0 if dark is None else dark.size)
 
     def free_values(self, model: Model) -> list[Nuisance]:
-        return nuisance.nuisances(model)
+        return nuisance.nuisances(model, self.start)
 
     def matched(self, model: Model) -> Model:
         """Molecules as far apart as the spots tell; brightness, width, density, baseline and background by moments."""

@@ -24,7 +24,7 @@ PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the near
 @dataclass(frozen=True)
 class Nuisance:
     """A value of the model, its scale ("log" or units of its own), step for derivatives, prior width, the value that
-    the prior is about, and the largest that it takes."""
+    it started from, the value believed (None: the same), and the largest that it takes."""
 
     path: str
     log: bool
@@ -32,6 +32,7 @@ class Nuisance:
     prior: float
     origin: float = 0.0
     most: float = np.inf
+    believed: float | None = None
 
     def changes(self, model: Model, by: float) -> dict[str, Any]:
         """The changed value, as `Model.with_values` takes it; within its room."""
@@ -42,12 +43,13 @@ class Nuisance:
         return {self.path: float(new)}
 
     def room(self, model: Model) -> tuple[float, float]:
-        """How far the value may move down and up, to stay within `REACH` of its origin and not below zero."""
+        """How far the value may move down and up, to stay within `REACH` of where it started and of what is believed,
+        and not below zero."""
         value, reach = float(_get(model, self.path)), REACH * self.prior
+        low, high = sorted((self.origin, self.origin if self.believed is None else self.believed))
         if self.log:
-            away = float(np.log(max(value, 1e-9) / self.origin))
-            return -reach - away, reach - away
-        return max(self.origin - reach, 0.0) - value, min(self.origin + reach, self.most) - value
+            return -reach - float(np.log(max(value, 1e-9) / low)), reach - float(np.log(max(value, 1e-9) / high))
+        return max(low - reach, 0.0) - value, min(high + reach, self.most) - value
 
     def inward(self, model: Model, step: float) -> float:
         """A step of that size that the room does not cut short."""
@@ -56,8 +58,9 @@ class Nuisance:
         return step if there >= 0.99 * back else -step
 
 
-def nuisances(model: Model) -> list[Nuisance]:
-    """The nuisance values of a model, which is their origin: rates that it has, and what every movie has."""
+def nuisances(model: Model, believed: Model | None = None) -> list[Nuisance]:
+    """The nuisance values of a model, which is their origin: rates that it has, and what every movie has. What is
+    `believed` of them stays in reach: matched beside hidden effects they may start far from where they belong."""
     adu = 0.3 / photoelectrons_per_adu(model)  # 0.3 photoelectrons
     found = [
         Nuisance("optics.brightness_correction", True, 0.08, 0.5),
@@ -72,7 +75,14 @@ def nuisances(model: Model) -> list[Nuisance]:
         Nuisance("fluorophore.isc_ratio", True, 0.3, 0.12),
         Nuisance("fluorophore.triplet_decay_rate_per_s", True, 0.3, 0.12),
     ]
-    return [replace(n, origin=float(_get(model, n.path))) for n in found if _present(model, n)]
+    known = believed or model
+    return [
+        replace(
+            n, origin=float(_get(model, n.path)), believed=float(_get(known, n.path)) if _present(known, n) else None
+        )
+        for n in found
+        if _present(model, n)
+    ]
 
 
 def apply(model: Model, values: Sequence[Nuisance], by: Iterable[float]) -> Model:

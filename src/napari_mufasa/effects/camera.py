@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera.detector import Stack, multiplication_noise
 from napari_mufasa.effects import pattern
-from napari_mufasa.effects.courses import drifted, seen_path, step_length, step_time
+from napari_mufasa.effects.courses import drifted, seen_path, settling, step_length, step_time
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.model.setup import Setup
 from napari_mufasa.photophysics.rates import excitation_rate
@@ -256,6 +256,7 @@ class BaselineDrift(Effect):
     )
     step_at: float = step_time()
     step_frames: float = step_length()
+    settling_time: float = settling()
     course: tuple[float, ...] = seen_path()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
@@ -264,7 +265,10 @@ class BaselineDrift(Effect):
         return self.model_copy(update={"course": ()})
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        drift_adu = drifted(self.drift_adu, self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
+        drift_adu = drifted(
+            self.drift_adu, self.form, scene.progress, rng, self.step_at, self.step_frames, self.settling_time,
+            self.course,
+        )  # fmt: skip
         offset_e = (drift_adu * scene.setup.camera.electrons_per_adu).astype(np.float32)
         scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
 

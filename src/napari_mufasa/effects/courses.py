@@ -10,19 +10,22 @@ from pydantic import Field
 
 from napari_mufasa.model.effect import parameter
 
+SETTLING = 0.25  # of the movie
+
 
 def course(
     form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float = 0.5, step_frames: float = 0.0,
-    seen: tuple[float, ...] = (),
+    settling_time: float = SETTLING, seen: tuple[float, ...] = (),
 ) -> NDArray[np.float64]:  # fmt: skip
     """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering.
 
-    What wanders follows `seen`, values at equal times, where they are given; else it is a random walk.
+    What saturates settles exponentially, within `settling_time` of the movie by all but 1/e. What wanders follows
+    `seen`, values at equal times, where they are given; else it is a random walk.
     """
     if form == "linear":
         return progress
     if form == "saturating":
-        path: NDArray[np.float64] = (1 - np.exp(-4 * progress)) / (1 - np.exp(-4))
+        path: NDArray[np.float64] = np.expm1(-progress / settling_time) / np.expm1(-1 / settling_time)
     elif form == "accelerating":
         path = progress**2
     elif form == "step":
@@ -39,10 +42,10 @@ def course(
 
 def drifted(
     size: float, form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float, step_frames: float,
-    seen: tuple[float, ...],
+    settling_time: float, seen: tuple[float, ...],
 ) -> NDArray[np.float64]:  # fmt: skip
     """`size` times the course of what drifts; of a course that was seen, `size` is where it is farthest from 0."""
-    path = course(form, progress, rng, step_at, step_frames, seen)
+    path = course(form, progress, rng, step_at, step_frames, settling_time, seen)
     if form == "wandering" and seen:
         path = path * np.sign(max(seen, key=abs))
     return path * size
@@ -70,6 +73,14 @@ def step_time() -> Any:
     return parameter(
         0.5, ge=0, le=1, plausible=(0.1, 0.9), unit="of the movie", description="when it happens", forms=("step",)
     )
+
+
+def settling() -> Any:
+    """The field `settling_time` of effects whose course may saturate."""
+    return parameter(
+        SETTLING, gt=0.01, plausible=(0.1, 1.5), log=True, unit="of the movie", description="time constant",
+        forms=("saturating",),
+    )  # fmt: skip
 
 
 def step_length() -> Any:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from scipy import signal
 
-from napari_mufasa.effects.courses import drifted, seen_path, step_length, step_time
+from napari_mufasa.effects.courses import drifted, seen_path, settling, step_length, step_time
 from napari_mufasa.effects.fields import (
     bright_side,
     centre_along,
@@ -100,11 +100,14 @@ class LaserDrift(Effect):
     )
     step_at: float = step_time()
     step_frames: float = step_length()
+    settling_time: float = settling()
     course: tuple[float, ...] = seen_path()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        change = drifted(self.change, self.form, scene.progress, rng, self.step_at, self.step_frames, self.course)
+        change = drifted(
+            self.change, self.form, scene.progress, rng, self.step_at, self.step_frames, self.settling_time, self.course
+        )
         scene.light = np.maximum(scene.light * (1 + change), 0.0)
 
 

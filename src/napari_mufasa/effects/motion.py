@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from napari_mufasa.effects.courses import course, seen_path, step_time
+from napari_mufasa.effects.courses import course, seen_path, settling, step_time
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.simulate.scene import Scene
 
@@ -39,6 +39,7 @@ class StageDrift(Effect):
         json_schema_extra={"forms": ["wandering"]},
     )
     step_at: float = step_time()
+    settling_time: float = settling()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -51,7 +52,7 @@ class StageDrift(Effect):
             path = np.cumsum(steps, axis=0) - steps[0]
             path *= 1 / max(float(np.hypot(*path.T).max()), 1e-12)
         else:
-            along = course(self.form, scene.progress, rng, self.step_at)
+            along = course(self.form, scene.progress, rng, self.step_at, settling_time=self.settling_time)
             path = along[:, None] * np.array([np.sin(angle), np.cos(angle)])
         scene.shift_px = scene.shift_px + self.distance_px * path
 
