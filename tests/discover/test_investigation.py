@@ -416,6 +416,22 @@ def test_where_misfit_is_left_a_rival_is_harder_to_tell_apart(inquiry, birge, to
     assert seen.stands[-1].worths["laser_drift"].rivals == told
 
 
+@pytest.mark.parametrize(("error", "kept"), [(1.3, True), (1.45, False)])
+def test_another_form_that_is_far_likelier_is_kept_though_its_error_is_higher_by_chance(inquiry, error, kept):
+    """Two levels of brightness left 28 less misfit than a lognormal law, and an error of 1.34 in place of 1.32."""
+    now, then = (SimpleNamespace(surprise=lambda x, at=at: at) for at in (0.0, -28.0))
+    formed = SimpleNamespace(surprise=lambda x: -20.0)
+    stand = SimpleNamespace(
+        state=now, error=1.28, misfit=158.0, content=False, x=None, library=SimpleNamespace(formed={"one": formed})
+    )
+    other = SimpleNamespace(state=then, error=error)
+    seen = SimpleNamespace(stand=stand, stands=[stand])
+    seen._settle = lambda state, below: seen.stands.append(other) or True
+    assert steps.Steps._replaced(seen, "one", [formed], 6.0) == kept
+    assert seen.stands == ([other] if kept else [stand])
+    assert stand.library.formed["one"] is (formed if kept else None)
+
+
 @pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])
 def test_what_stands_in_for_something_else_is_exchanged(first):
     """Falling light lets the spots fade as bleaching does, and the background, too."""

@@ -10,7 +10,18 @@ import numpy as np
 
 from napari_mufasa.discover import joint, library
 from napari_mufasa.discover.coordinates import changed
-from napari_mufasa.discover.rules import CLEAR, FAR, FAR_LESS, FORM_WORTH, NEAR, REMOVALS, RIVAL, RIVALS, START
+from napari_mufasa.discover.rules import (
+    CLEAR,
+    FAR,
+    FAR_LESS,
+    FORM_WORTH,
+    NEAR,
+    NOT_RISEN,
+    REMOVALS,
+    RIVAL,
+    RIVALS,
+    START,
+)
 from napari_mufasa.discover.stand import Case, Stand, Worth
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.start import begun, started
@@ -270,7 +281,7 @@ class Steps(Standing):
         if not self._settle(tries[0], below=stand.misfit + more):
             return False
         other = self.stands.pop()
-        if other.state.surprise(stand.x) > surprise - NEAR or other.error > stand.error:
+        if other.state.surprise(stand.x) > surprise - NEAR or other.error > NOT_RISEN * stand.error:
             if tries[0] is stand.library.formed.get(kind):
                 stand.library.formed[kind] = None
             return False
