@@ -104,7 +104,7 @@ KNOWN: dict[str, dict[str, Law]] = {
     },
     "laser_drift": {
         "linear": Law("linear", {"change": "relative_change"}),
-        "settling": Law("saturating", {"change": "relative_change"}, near=True),
+        "settling": Law("saturating", {"change": "relative_change"}),
         "step": Law("step", {"change": "relative_change"}),
         "random_walk": Law("wandering"),
     },
@@ -178,7 +178,7 @@ KNOWN: dict[str, dict[str, Law]] = {
     },
     "baseline_drift": {
         "linear": Law("linear", {"drift_adu": "change_adu"}),
-        "settling": Law("saturating", {"drift_adu": "change_adu"}, near=True),
+        "settling": Law("saturating", {"drift_adu": "change_adu"}),
         "step": Law("step", {"drift_adu": "change_adu"}),
         "random_walk": Law("wandering"),
     },

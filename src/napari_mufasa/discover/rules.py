@@ -44,7 +44,7 @@ DEEPER = 0.9  # of the misfit: a place further downhill is worth derivatives, an
 
 # The budget of simulations ----------------------------------------------------------------------------------
 BUDGET = 5_000  # simulations of a movie of ordinary size …
-BUDGET_VALUES = 28_000_000_000  # … and pixels times frames, dark ones too, of all together, whichever is less
+BUDGET_VALUES = 23_000_000_000  # … and pixels times frames, dark ones too, of all together, whichever is less
 AT_ONCE = 4  # effects taken up together
 DESCENTS = 4  # steps downhill, each with derivatives of its own
 BASE_SIMULATIONS = 60  # of a model: its mean, spread and correlations
