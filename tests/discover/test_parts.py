@@ -129,6 +129,24 @@ def test_what_is_believed_of_a_value_stays_in_reach_wherever_the_first_match_has
     np.testing.assert_allclose(ends, [-500.0 - reach, reach])
 
 
+def test_a_value_that_comes_to_its_end_does_not_keep_the_others_from_their_place():
+    """Two values that make up for one another: cut short where one of them ends, the way to the best of both leads
+    uphill, and neither moved."""
+    rng = np.random.default_rng(7)
+    slopes = rng.standard_normal((40, 1)) + 0.1 * rng.standard_normal((40, 4))  # much the same, all of them
+    noise, one = rng.standard_normal(40), np.eye(40)
+    x = slopes @ [3.0, -2.0, 0.5, 0.0] + noise
+    room = np.array([[-4.0] * 4, [0.02, 4.0, 4.0, 4.0]])
+    found = metric.adjust(x, np.zeros(40), np.ones(40), slopes, np.full(4, 3.0), room, one)
+
+    def chi2(moves):
+        return float(np.square(metric.soften(x - slopes @ moves)).sum() + np.square(moves / 3.0).sum())
+
+    best = optimize.minimize(chi2, np.zeros(4), bounds=room.T, method="L-BFGS-B", options={"ftol": 1e-14})
+    assert found.moves[0] == pytest.approx(0.02) and best.x[0] == pytest.approx(0.02)
+    assert found.chi2 < best.fun + 0.05 and chi2(np.zeros(4)) > best.fun + 20
+
+
 def test_a_lead_does_not_take_credit_for_a_value_at_its_end():
     """Misfit along a direction that a free value may not follow any farther is nothing that an idle ray explains."""
     state = toy_state()

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize
 
 Array = NDArray[np.float64]
 SOFT = 8.0
@@ -70,6 +71,14 @@ def whitener(correlation: Array) -> Array:
     return result
 
 
+def _within(room: Array, slope: Array, residual: Array) -> Array:
+    """The step within room (2, value) that leaves least of a linear residual: cut short value by value, a step may
+    lead uphill. (Bounded-variable least squares: Stark and Parker, Comput. Stat. 10, 129, 1995.)"""
+    low, high = np.minimum(room[0], -1e-12), np.maximum(room[1], 1e-12)  # where there is none, next to none
+    step: Array = optimize.lsq_linear(slope, residual, (low, high), method="bvls").x
+    return step
+
+
 @dataclass(frozen=True)
 class Adjusted:
     """A measurement seen from a model after its free values moved: chi², the moves, the whitened residual."""
@@ -112,6 +121,8 @@ def adjust(
         gram[stuck], gram[:, stuck] = 0.0, 0.0
         gram[stuck, stuck], downhill[stuck] = 1.0, 0.0
         step = np.linalg.solve(gram, downhill)
+        if np.any(moves + step < room[0]) or np.any(moves + step > room[1]):
+            step = _within(room - moves, np.vstack([slope, np.diag(1 / prior)]), np.append(white, -moves / prior))
         for shrink in (1.0, 0.5, 0.2, 0.05):
             trial = np.clip(moves + shrink * step, *room)
             chi2, w, rr = at(trial)
