@@ -230,9 +230,13 @@ def test_twelve_movies_killed_half_way_are_told_apart(tmp_path):
     assert not list(out.rglob(".*")), "a killed run leaves nothing half-written behind the next one"
     table = pd.read_csv(out / "summary.csv")
     drifting = table["condition"] == "drift"
-    assert list(table["effects"].fillna("") == "stage_drift") == list(drifting)
-    assert (table.loc[~drifting, "verdict"] == "adequate").all()
-    assert "conditions differ in stage drift" in second.stdout
+    assert (table.loc[drifting, "effects"] == "stage_drift").all()
+    # Where nothing is missing 2.5 % of movies raise an alarm: one of six in 13 %, more in 0.9 %. With one the conditions
+    # differ by Fisher's test of drift alone (0.015), but no longer where all that is compared is accounted for.
+    assert (table.loc[~drifting, "verdict"] == "adequate").sum() >= 5
+    told_apart = pd.read_csv(out / "differences.csv").set_index("what").loc["stage_drift"]
+    assert told_apart["drift"] == "in 6 of 6" and told_apart["p_value"] < 0.02
+    assert ("conditions differ in stage drift" in second.stdout) == bool(told_apart["differs"])
     pages = (out / "summary.html").read_text()
     assert "stage drift" in pages and "drift-m0/diagnose/report.html" in pages
     strength = pd.read_csv(out / "conditions.csv").set_index(["condition", "effect"]).loc[("drift", "stage_drift")]
