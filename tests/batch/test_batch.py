@@ -231,7 +231,7 @@ def test_twelve_movies_killed_half_way_are_told_apart(tmp_path):
     table = pd.read_csv(out / "summary.csv")
     drifting = table["condition"] == "drift"
     assert (table.loc[drifting, "effects"] == "stage_drift").all()
-    # Where nothing is missing 2.5 % of movies raise an alarm: one of six in 13 %, more in 0.9 %. With one the conditions
+    # Where nothing is missing 2.5 % of movies raise an alarm: one of six in 13 %, more in 0.9 %. With one, conditions
     # differ by Fisher's test of drift alone (0.015), but no longer where all that is compared is accounted for.
     assert (table.loc[~drifting, "verdict"] == "adequate").sum() >= 5
     told_apart = pd.read_csv(out / "differences.csv").set_index("what").loc["stage_drift"]
