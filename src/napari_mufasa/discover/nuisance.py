@@ -24,7 +24,7 @@ PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the near
 @dataclass(frozen=True)
 class Nuisance:
     """A value of the model, its scale ("log" or units of its own), step for derivatives, prior width, the value that
-    it started from, the value believed (None: the same), and the largest that it takes."""
+    it started from, the largest that it takes, and the value believed (None: the one it started from)."""
 
     path: str
     log: bool
