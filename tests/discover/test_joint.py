@@ -14,7 +14,7 @@ from napari_mufasa.discover.library import build
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.rules import ALARM
-from napari_mufasa.discover.stand import Stand
+from napari_mufasa.discover.stand import Stand, Worth
 from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import SCALES
 from napari_mufasa.discover.uncertainty import coordinates_sd
@@ -202,6 +202,9 @@ def test_what_stands_in_for_another_beside_it_is_not_worth_its_place(bench):
         state = begun(stand.library, state, [start], stand.x)
     found = after(stand, state)
     assert found.is_worth(found.worths["row_noise"]) and not found.is_worth(found.worths["column_offset"])
+    sure, needed = 300.0, 20.0
+    assert not found.is_worth(Worth(sure, 1.02 * found.error, needed)), "it may make up for the form of the other"
+    assert found.is_worth(Worth(sure, 1.08 * found.error, needed))
 
 
 def test_an_effect_that_promises_nothing_is_started_all_the_same(bench):

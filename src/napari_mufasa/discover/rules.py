@@ -19,7 +19,8 @@ CONTENT = 0.05  # a fit that leaves a misfit which chance exceeds more often tha
 # What is worth explaining -----------------------------------------------------------------------------------
 UNSURE = 0.95  # a name that is less sure than this is one of several
 AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the floor
-NOT_RISEN = 1.03  # how far an error may rise: at its floor with an effect that is sure, and with a likelier form
+NOT_RISEN = 1.03  # how far an error may rise: at its floor with a lone effect that is sure, and with a likelier form
+FALLS = 1.04  # times the error: so much it must be without an effect that stands beside others
 FAR_OFF = 2.5  # above so many floors what a model promises of its neighbourhood is not to be had
 FAR = 1.35  # an error above so many floors is not explained, however far it fell …
 EXPLAINED = 0.6  # … nor is one of which less than this share went away

@@ -18,6 +18,7 @@ from napari_mufasa.discover.rules import (
     AT_ONCE,
     BESIDE,
     CONTENT,
+    FALLS,
     FORM_FIRST,
     FORM_WORTH,
     FURTHER,
@@ -209,13 +210,16 @@ class Stand:
         return found
 
     def is_worth(self, worth: Worth) -> bool:
-        """Does an effect earn its place: enough evidence, and a lower held-out error?
+        """Does an effect earn its place: enough evidence, and a lower held-out error; beside others, whose form it may
+        make up for, clearly lower?
 
-        Where that is at its floor no effect can lower it much, and sure evidence will do if the error does not rise.
+        Where no other is, at the floor, no effect can lower it much: sure evidence will do if the error does not rise.
         """
         if not worth.is_some:
             return False
-        sure = worth.evidence > max(self.null.evidence.at(SURE), worth.needed) and self.state.at_floor(self.x)
+        if len(self.added) > 1:
+            return self.error * FALLS < worth.error_without
+        sure = worth.evidence > self.null.evidence.at(SURE) and self.state.at_floor(self.x)
         return self.error < worth.error_without * (NOT_RISEN if sure else 1.0)
 
     def confirming(self, kind: str, worth: Worth) -> Stand:
