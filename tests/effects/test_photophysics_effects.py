@@ -215,3 +215,16 @@ def test_a_walk_is_shared_by_the_emitters_of_a_spot():
     effects = (effect("molecule_diffusion"), effect("multiple_emitters", fraction=1.0))
     scene = scene_of(plain().with_effects(*effects), np.zeros((5, 2)))
     np.testing.assert_array_equal(scene.walk_px[:, ::2], scene.walk_px[:, 1::2])
+
+
+def test_emitters_that_never_go_out_are_a_spread_of_brightness_and_nothing_else():
+    """The light of two has the mean and the variance of one that is twice as bright: seen for twice as long."""
+    several, bright = effect("multiple_emitters", fraction=1.0), plain(n_frames=400)
+    pairs = simulate_emission(bright.with_effects(several), 50, seed=5).reshape(50, 2, -1).sum(axis=1)
+    ones = simulate_emission(plain(n_frames=400, frame_length_s=0.02), 50, seed=6)
+    n = pairs.size
+    assert abs(pairs.mean() - ones.mean()) < 4 * np.sqrt(2 * ones.mean() / n)
+    assert pairs.var() / ones.var() == pytest.approx(1, abs=4 * np.sqrt(4 / n))
+    assert several.same_as(bright, []) == ("brightness_heterogeneity",)
+    assert several.same_as(bright, ["photobleaching"]) == ()
+    assert several.same_as(bright.with_values({"fluorophore.cycles_before_bleaching": 1e5}), []) == ()

@@ -150,7 +150,7 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
         if not leads:
             break
         apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
-        leads = apart or leads
+        leads = leads if stand.far_off else apart or leads
         if known and not apart and (inquiry.deepen() or _in_other_forms(inquiry, [cases[0][0] for cases in leads])):
             dropped = set[str]()
         elif affordable := [leads[:n] for n in range(len(leads), 0, -1) if inquiry.affords(n)]:

@@ -108,13 +108,10 @@ def _sure_of_names(stand: Stand) -> dict[str, tuple[float, tuple[str, ...]]]:
     """
     found = {}
     for kind, worth in stand.worths.items():
-        scale = 2 * stand.birge**2
-        odds = [
-            np.exp(-max(worth.evidence, 0.0) / scale),
-            *(np.exp(-max(d, 0.0) / scale) for d in worth.rivals.values()),
-        ]
+        scale, rivals = 2 * stand.birge**2, stand.in_place_of(kind)
+        odds = [np.exp(-max(d, 0.0) / scale) for d in (worth.evidence, *rivals.values())]
         sure = float(1 / (1 + sum(odds)))
-        found[kind] = (sure, tuple(worth.rivals) if sure < UNSURE else ())
+        found[kind] = (sure, tuple(rivals) if sure < UNSURE else ())
     return found
 
 

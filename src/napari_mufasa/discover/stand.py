@@ -153,17 +153,22 @@ class Stand:
             return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.evidence.at(ALARM))}
         states = {kind: self.without(kind) for kind in self.added}
         evidence = {kind: state.misfit(self.x) - self.misfit for kind, state in states.items()}
+        moved = {kind: self.moved_by(kind) for kind in states}
         found = {}
         for kind, state in states.items():
-            others = sum(max(e, 0.0) for k, e in evidence.items() if k != kind)
-            shared = _shared(self.state.mean - state.mean, state.mean - self.first.mean, self.state.spread)
-            needed = max(self.null.evidence.at(FURTHER), shared * SHAPE * others)
+            shared = {k: _shared(moved[kind], moved[k], self.state.spread) for k in states if k != kind}
+            forms = SHAPE * sum(shared[k] * max(evidence[k], 0.0) for k in shared)
+            needed = max(self.null.evidence.at(FURTHER), forms)
             found[kind] = known.get(kind) or Worth(evidence[kind], state.held_out_error(self.x), needed)
         return found
 
     def without(self, kind: str) -> State:
         """The model without one of its effects, the others where they are."""
         return joint.removed(self.library, kind)
+
+    def moved_by(self, kind: str) -> Array:
+        """What an added effect does to the observables (part, observable), the others where they are."""
+        return self.state.mean - self.without(kind).mean
 
     def stands_apart(self, lead: Lead) -> bool:
         """Does it promise much of what is left, and nothing that the form of an effect in the model may have left?"""
@@ -172,8 +177,8 @@ class Stand:
 
     def kin(self, lead: Lead) -> set[str]:
         """The effects in the model that move as far what it moves: it may promise what their form has left."""
-        moved = {kind: self.state.mean - self.without(kind).mean for kind in self.added}
-        return {kind for kind, moves in moved.items() if _shared(lead.shift, moves, self.state.spread) > ALIKE}
+        spread = self.state.spread
+        return {kind for kind in self.added if _shared(lead.shift, self.moved_by(kind), spread) > ALIKE}
 
     def rivals_of(self, kind: str, share: float) -> list[Case]:
         """What promises more than a share of what an added effect is worth, in its place; best first."""
@@ -186,7 +191,7 @@ class Stand:
     def companions_of(self, kind: str, beside: State) -> list[Case]:
         """What could do a part of what an added effect does, as its leads are beside a state with another form of that;
         what moves most of it first."""
-        moves = self.state.mean - self.without(kind).mean
+        moves = self.moved_by(kind)
         shares = {
             other: max(_shared(moves, ray.shift, self.state.spread) for ray in rays)
             for other, rays in self.library.rays.items()
@@ -202,12 +207,17 @@ class Stand:
         found = []
         for kind in sorted(self.added, key=lambda kind: -self.worths[kind].evidence):
             effect = next(e for e in self.state.model.effects if e.kind == kind)
-            ray = Ray(effect, self.state.mean - self.without(kind).mean, effect.none_at(self.state.model))
+            ray = Ray(effect, self.moved_by(kind), effect.none_at(self.state.model))
             itself = Lead(self.worths[kind].evidence, ray, 1.0)
             rivals = self.rivals_of(kind, RIVAL) if self.far_off else []
             alike = [case for case in rivals if self._vies(case[0], itself)]
             found.append([[itself], *alike[:RIVALS]])
         return found
+
+    def in_place_of(self, kind: str) -> dict[str, float]:
+        """What cannot be told from an added effect, with how much more misfit it leaves in its place."""
+        same = effect_class(kind).same_as(self.state.model, self.added)
+        return {other: 0.0 for other in same if other not in self.added} | dict(self.worths[kind].rivals)
 
     def is_worth(self, worth: Worth) -> bool:
         """Does an effect earn its place: enough evidence, and a lower held-out error; beside others, whose form it may

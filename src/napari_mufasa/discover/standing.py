@@ -105,7 +105,7 @@ class Standing:
                     share,
                     effect.parameters(),
                     sds[kind],
-                    tuple(worth.rivals),
+                    tuple(stand.in_place_of(kind)),
                     worth.error_without,
                 )
             )

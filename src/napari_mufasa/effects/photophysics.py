@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
 from napari_mufasa.model.effect import Effect, parameter
+from napari_mufasa.model.setup import Setup
 from napari_mufasa.photophysics.chain import Chain, Transition
 from napari_mufasa.simulate.scene import Scene
 
@@ -307,6 +309,13 @@ class MultipleEmitters(Effect):
         0.4, ge=0, le=1, plausible=(0.05, 0.9), unit="", description="share of spots with several emitters"
     )
     form: Literal["dimers", "oligomers"] = "dimers"
+
+    @classmethod
+    def same_as(cls, setup: Setup, beside: Collection[str]) -> tuple[str, ...]:
+        # Where nothing turns emitters off one by one, several in a spot are one law of a spread of brightness.
+        one_by_one = {"photobleaching", "long_dark_state", "triplet_blinking", "delayed_activation"}
+        bleaches = setup.fluorophore.cycles_before_bleaching is not None
+        return () if bleaches or one_by_one & set(beside) else ("brightness_heterogeneity",)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         n = len(scene.positions_px)

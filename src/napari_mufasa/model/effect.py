@@ -7,6 +7,7 @@ registers a class under the entry-point group ``napari_mufasa.effects``.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import numpy as np
@@ -91,6 +92,12 @@ class Effect(Values):
     def suits(cls, setup: Setup) -> bool:
         """Whether the effect makes sense for this set-up (an EM register needs an EMCCD, …)."""
         return True
+
+    @classmethod
+    def same_as(cls, setup: Setup, beside: Collection[str]) -> tuple[str, ...]:
+        """The rivals of which the effect is a special case in this set-up, with effects of these kinds beside it:
+        nothing there tells them apart."""
+        return ()
 
     @classmethod
     def common_in(cls, setup: Setup) -> bool:
