@@ -207,6 +207,18 @@ def test_what_is_doubtful_stays_while_only_what_is_surely_useless_shall_go(monke
     assert set(inquiry.chosen) == MISSING
 
 
+def test_no_name_that_does_nothing_is_told_though_the_budget_is_spent():
+    """There is no fit without it then: it goes, and all else stays where it is."""
+    inquiry = investigation()
+    inquiry.add(*HIDDEN, effect_class("column_offset")(rms_adu=0.01))
+    stood = inquiry.stand
+    inquiry.budget, before = 0, inquiry.bench.done
+    assert inquiry.prune() == {"column_offset"} and set(inquiry.chosen) == MISSING
+    assert inquiry.bench.done - before <= 2 * len(stood.added) * steps.REMOVALS
+    assert inquiry.stand.error == pytest.approx(stood.error, rel=0.03)
+    assert all(inquiry.stand.is_worth(worth) for worth in inquiry.stand.worths.values())
+
+
 class Doubted:
     """Three effects, each worth little beside the others; all together are worth so much, and each needs 20."""
 

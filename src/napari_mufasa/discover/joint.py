@@ -164,6 +164,15 @@ def removed(library: Library, *kinds: str) -> State:
     return library.without[kinds]
 
 
+def left_out(library: Library, kind: str) -> Library:
+    """The neighbourhood as it is, without an effect that does next to nothing there: only the mean is simulated."""
+    base = removed(library, kind)
+    shift = base.mean - library.base.mean
+    return replace(
+        library, base=replace(base, check=base.check + shift), rows=library.rows + shift, without={}, formed={}
+    )
+
+
 def lacking(library: Library, state: State, kind: str) -> State:
     """A state begun from the library's without one of the effects begun, the others where they are."""
     bare = state.without(kind)

@@ -98,7 +98,8 @@ class Steps(Standing):
     def prune(self, sure: bool = False) -> set[str]:
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
         worth what one needs, then one by one (not where only what is `sure` shall go); what only a whole fit without
-        them can tell is told by one. Returns the kinds taken out."""
+        them can tell is told by one. Where the budget affords none, what is worth far less goes all the same, the least
+        first, all else where it is. Returns the kinds taken out."""
         dropped: set[str] = set()
         at_once = True
         while self.chosen:
@@ -106,13 +107,19 @@ class Steps(Standing):
             doubtful = {
                 k: w for k, w in stand.worths.items() if not stand.is_worth(w) and (k, w) not in stand.confirmed
             }
-            if not doubtful or not (len(stand.added) == 1 or self.affords(0)):
+            if not doubtful:
                 break
             if len(stand.added) == 1:
                 self.stands = self.stands[:1]
                 return dropped | set(doubtful)
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
             far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
+            if not self.affords(0):
+                if not far_less:
+                    break
+                self.stands[-1] = self._seen_in(joint.left_out(stand.library, far_less[0]))
+                dropped.add(far_less[0])
+                continue
             if sure and not (at_once and far_less):
                 break
             kinds = far_less if at_once and 0 < len(far_less) < len(stand.added) else order[:1]
@@ -201,10 +208,14 @@ class Steps(Standing):
         return near is not None
 
     def _stand_at(self, near: library.Library) -> None:
+        self.stands.append(self._seen_in(near))
+
+    def _seen_in(self, near: library.Library) -> Stand:
+        """The stand whose neighbourhood that is."""
         last = self.stand
         added = tuple(effect.kind for effect in near.base.model.effects if effect.kind in self.kinds)
         order = [k for k in last.added if k in added] + [k for k in added if k not in last.added]
-        self.stands.append(Stand(near, tuple(order), last.x, last.null, self.first.state))
+        return Stand(near, tuple(order), last.x, last.null, self.first.state)
 
     def _settling(self, n_effects: int) -> int:
         state = self.state
@@ -222,8 +233,7 @@ class Steps(Standing):
         worth = Worth(there.misfit(x) - stand.misfit, there.held_out_error(x), needed)
         if worth.evidence > CLEAR * needed and stand.is_worth(worth):
             return worth, None
-        self._stand_at(joint.seen_from(stand.library, there.model, self.kinds))
-        lesser = self.stands.pop()
+        lesser = self._seen_in(joint.seen_from(stand.library, there.model, self.kinds))
         worth = _worth_beside(stand, lesser, needed)
         return worth, None if stand.is_worth(worth) else lesser
 
