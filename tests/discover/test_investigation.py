@@ -317,7 +317,7 @@ class Climb:
 def test_effects_are_judged_near_the_floor_and_once_nothing_more_promises_anything():
     far = Climb(["one", "doubted", "two"], far_off=(3, 2, 1))
     told = play(far, None)
-    assert told == ["take up one", "take up doubted", "take up two", "drop the useless", "judge", "judge"]
+    assert told == ["take up one", "take up doubted", "take up two", *["drop the useless", "judge"] * 2]
     assert far.chosen == ["one", "two"]
     assert play(Climb(["one"], far_off=(0,)), None) == ["take up one", "judge"]
 

@@ -137,8 +137,12 @@ def _one_way(inquiry: Investigation, max_effects: int | None) -> None:
 
 def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str, set[str]]) -> None:
     """Take up what promises something, or other forms of what is in the model where they promise more, until nothing
-    does."""
-    while not (inquiry.chosen and inquiry.stand.content):
+    does; drop what is surely useless on the way."""
+    while True:
+        if inquiry.chosen and not inquiry.stand.far_off:
+            _dismiss(dismissed, inquiry.prune(sure=True), inquiry)
+        if inquiry.chosen and inquiry.stand.content:
+            break
         inquiry.look()
         stand, known = inquiry.stand, set(inquiry.chosen)
         but = {kind for kind, beside in dismissed.items() if known <= beside}
@@ -152,14 +156,10 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
         apart = [cases for cases in leads if not known or stand.stands_apart(cases[0][0])]
         leads = leads if stand.far_off else apart or leads
         if known and not apart and (inquiry.deepen() or _in_other_forms(inquiry, [cases[0][0] for cases in leads])):
-            dropped = set[str]()
-        elif affordable := [leads[:n] for n in range(len(leads), 0, -1) if inquiry.affords(n)]:
-            dropped = inquiry.take_up(affordable[0])
-        else:
+            continue
+        if not (affordable := [leads[:n] for n in range(len(leads), 0, -1) if inquiry.affords(n)]):
             break
-        if not inquiry.stand.far_off:
-            dropped |= inquiry.prune(sure=True)
-        _dismiss(dismissed, dropped, inquiry)
+        _dismiss(dismissed, inquiry.take_up(affordable[0]), inquiry)
 
 
 def _in_other_forms(inquiry: Investigation, leads: list[Lead]) -> bool:
