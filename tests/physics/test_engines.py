@@ -297,7 +297,7 @@ def test_passing_by_calm_frames_changes_nothing(dead_s, light):
         {"T1": 1.0},
     )
     merged, rates = merge_bright_states(blinking, 3.0)
-    _, expected = simulate_photons(blinking, drive, exposure, Streams(6), "fast")
+    _, expected = simulate_photons(blinking, drive, exposure, Streams(6), "fast", with_expected=True)
     lit = frame_by_frame(merged, drive, exposure, Streams(6))[1] @ rates
     assert 0.1 < np.mean(lit > 0) < 0.9
     np.testing.assert_allclose(expected, drive[:, None] * light * lit, rtol=1e-9, atol=1e-6)
@@ -309,7 +309,22 @@ def test_molecules_shared_by_workers_are_the_same(engine):
     each = np.random.default_rng(1).uniform(0.5, 1.5, (50, 30)).astype(np.float32)
     exposure = Exposure(0.01, 0.0, np.ones(30), each)
     alone, shared = (
-        simulate_photons(chain, np.full(50, 0.02), exposure, Streams(7), engine, workers=n) for n in (1, 3)
+        simulate_photons(chain, np.full(50, 0.02), exposure, Streams(7), engine, workers=n, with_expected=True)
+        for n in (1, 3)
     )
     assert alone[0].any()
     np.testing.assert_array_equal(shared, alone)
+
+
+def test_photons_are_the_same_whether_what_was_expected_is_kept_or_not():
+    """More molecules than are emitted at once, the last of them fewer; each in a light of its own."""
+    chain = protocol_chain(model_of("STORM"))
+    each = np.random.default_rng(2).uniform(0.5, 1.5, (150, 30)).astype(np.float32)
+    exposure = Exposure(0.01, 0.0, np.ones(30), each)
+    kept, not_kept = (
+        simulate_photons(chain, np.full(150, 0.02), exposure, Streams(8), "fast", with_expected=keep)
+        for keep in (True, False)
+    )
+    assert kept[1].shape == kept[0].shape and not_kept[1].shape == (0, 30)
+    np.testing.assert_array_equal(not_kept[0], kept[0])
+    assert np.all((kept[1] > 0) | (kept[0] == 0)) and kept[0][-1].any()

@@ -38,9 +38,9 @@ class Exposure:
 
 def simulate_photons(
     chain: Chain, drive: NDArray[np.float64], exposure: Exposure, streams: Streams, engine: Engine,
-    population: str = "", workers: int = 1,
+    population: str = "", workers: int = 1, with_expected: bool = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:  # fmt: skip
-    """Photons emitted by each molecule in each frame, and how many were expected of its time in the light.
+    """Photons emitted by each molecule in each frame; if asked for, how many were expected of its time in the light.
 
     Parameters
     ----------
@@ -55,11 +55,12 @@ def simulate_photons(
 
     Returns
     -------
-    (molecule, frame) int64 and (molecule, frame) float64. A photon belongs to the frame its relaxation falls in. The
-    exact engine expects what it counts.
+    (molecule, frame) int64 and (molecule, frame) float64, the second without rows unless asked for `with_expected`. A
+    photon belongs to the frame its relaxation falls in. The exact engine expects what it counts.
     """
     if engine not in ("fast", "exact"):
         raise MufasaError(f"engine {engine!r} is unknown: choose 'fast' or 'exact'")
+    rows = len(drive) if with_expected else 0
     if engine == "fast":
         brightest = float(np.max(drive, initial=0.0) * np.max(exposure.light, initial=0.0))
         if exposure.of_each is not None:
@@ -69,10 +70,9 @@ def simulate_photons(
             warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
         else:
             bright_chain, photon_rates = merged
-            expected, _ = _run(bright_chain, photon_rates, drive, exposure, streams, population, workers)
-            return _poisson(expected, streams, population, workers), expected
-    _, photons = _run(chain, np.zeros(len(chain.states)), drive, exposure, streams, population, workers)
-    return photons, photons.astype(np.float64)
+            return _emitted(bright_chain, photon_rates, drive, exposure, streams, population, workers, rows)
+    photons, _ = _emitted(chain, np.zeros(len(chain.states)), drive, exposure, streams, population, workers, 0)
+    return photons, photons[:rows].astype(np.float64)
 
 
 def merge_bright_states(
@@ -112,43 +112,37 @@ def merge_bright_states(
     return merged, np.array([photon_rate.get(state, 0.0) for state in merged.states])
 
 
-def _run(
+def _emitted(
     chain: Chain,
     photon_rates: NDArray[np.float64],
     drive: NDArray[np.float64],
     exposure: Exposure,
     streams: Streams,
     population: str,
-    workers: int = 1,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Expected photons from the time spent in emitting states, and photons counted at jumps."""
-    from napari_mufasa.photophysics.kernels import run
+    workers: int,
+    kept: int,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Photons counted at jumps, and those of the time spent in emitting states; with so many rows of what was expected
+    of it (all or none)."""
+    from napari_mufasa.photophysics.kernels import emit
 
     drive = np.ascontiguousarray(drive, dtype=np.float64)
     light = np.ascontiguousarray(exposure.light, dtype=np.float64)
     each = np.empty((0, 0), np.float32) if exposure.of_each is None else np.ascontiguousarray(exposure.of_each)
     # Zeros that are never written take no memory.
-    expected = np.zeros((drive.size, light.size))
     photons = np.zeros((drive.size, light.size), np.int64)
+    expected = np.zeros((kept, light.size))
     rates = chain.matrix(driven=True), chain.matrix(driven=False), chain.photon_matrix(), photon_rates
-    start, key = np.cumsum(chain.start_vector()), streams.key(population + "photophysics")
+    start = np.cumsum(chain.start_vector())
+    keys = streams.key(population + "photophysics"), streams.key(population + "emission")
     times = float(exposure.exposure_s), float(exposure.dead_time_s)
 
     def part(rows: slice) -> None:
-        own = each[rows] if each.size else each
-        run(*rates, start, drive[rows], light, own, *times, key, rows.start, expected[rows], photons[rows])
+        own, means = (each[rows] if each.size else each), (expected[rows] if kept else expected)
+        emit(rates, start, drive[rows], light, own, *times, keys, rows.start, means, photons[rows])
 
     _in_parts(part, drive.size, workers)
-    return expected, photons
-
-
-def _poisson(expected: NDArray[np.float64], streams: Streams, population: str, workers: int = 1) -> NDArray[np.int64]:
-    from napari_mufasa.photophysics.kernels import draw
-
-    key = streams.key(population + "emission")
-    photons = np.zeros(expected.shape, np.int64)
-    _in_parts(lambda rows: draw(expected[rows], key, rows.start, photons[rows]), len(expected), workers)
-    return photons
+    return photons, expected
 
 
 def _in_parts(work: Callable[[slice], None], n_molecules: int, workers: int) -> None:

@@ -24,6 +24,7 @@ from napari_mufasa.chance.variates import (
 )
 
 compiled: Any = njit(cache=True, nogil=True)
+GROUP = 64  # molecules whose expected photons stay in the processor's cache until their counts are drawn
 
 
 @compiled
@@ -143,3 +144,21 @@ def draw(expected, key, first, photons):  # type: ignore[no-untyped-def]
         poissons_by_rejection(large[:n], state[:n], u, v, counts)
         for x in range(n):
             photons[m, bright[x]] = np.int64(counts[x])
+
+
+@compiled
+def emit(rates, start, drive, light, of_each, exposure_s, dead_s, keys, first, expected, photons):  # type: ignore[no-untyped-def]
+    """`run`, by `rates` and the first of `keys`, then `draw` by the second, of a group of molecules after the other;
+    what was expected is kept where `expected` has rows."""
+    driven, undriven, photon_probability, photon_rate = rates
+    scratch = np.empty((GROUP, light.size))
+    for a in range(0, drive.size, GROUP):
+        b = min(a + GROUP, drive.size)
+        group = expected[a:b] if expected.size else scratch[: b - a]
+        group[:] = 0.0
+        own = of_each[a:b] if of_each.size else of_each
+        run(
+            driven, undriven, photon_probability, photon_rate, start, drive[a:b], light, own, exposure_s, dead_s,
+            keys[0], first + a, group, photons[a:b],
+        )  # fmt: skip
+        draw(group, keys[1], first + a, photons[a:b])

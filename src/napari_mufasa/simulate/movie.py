@@ -222,25 +222,32 @@ def _check(model: Model, n_molecules: int | None = None) -> None:
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     n = model.sample.n_molecules if n_molecules is None else n_molecules
     frames, (height, width) = model.acquisition.n_frames, model.acquisition.shape_px
+    of_each_frame = 8 if model.optics.emission_noise == 1 else 32  # bytes of a molecule
     checks.affordable(
-        16 * int(n) * frames + 100 * frames, f"the light of {n} molecules in {frames} frames",
+        of_each_frame * int(n) * frames + 100 * frames, f"the light of {n} molecules in {frames} frames",
         "take fewer molecules or frames",
     )  # fmt: skip
     checks.affordable(40 * height * width, f"a frame of {height} × {width} px", "take a smaller field")
 
 
 def _emit(scene: Scene, engine: Engine, workers: int = 1) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Photons emitted and expected (molecule, frame), one population of molecules after the other."""
+    """Photons emitted (molecule, frame), one population of molecules after the other; and expected, where the images
+    are made of them, too."""
     timing = scene.setup.acquisition
     dead_time_s = timing.interval_s - timing.frame_length_s
     drive, each = scene.drive(), scene.light_of_each
     first = len(drive) - sum(p.n_molecules for p in scene.populations)
+    with_expected = scene.setup.optics.emission_noise != 1
     emitted, start = [], 0
     for kind in (Population("", scene.chain, first), *scene.populations):
         rows = slice(start, start + kind.n_molecules)
         start = rows.stop
         exposure = Exposure(timing.frame_length_s, dead_time_s, scene.light, None if each is None else each[rows])
-        emitted.append(simulate_photons(kind.chain, drive[rows], exposure, scene.streams, engine, kind.name, workers))
+        emitted.append(
+            simulate_photons(
+                kind.chain, drive[rows], exposure, scene.streams, engine, kind.name, workers, with_expected
+            )
+        )
     if len(emitted) == 1:
         return emitted[0]
     return np.concatenate([n for n, _ in emitted]), np.concatenate([expected for _, expected in emitted])
