@@ -213,6 +213,9 @@ def test_no_name_that_does_nothing_is_told_though_the_budget_is_spent():
     inquiry.add(*HIDDEN, effect_class("column_offset")(rms_adu=0.01))
     stood = inquiry.stand
     inquiry.budget, before = 0, inquiry.bench.done
+    inquiry.reserve = 1  # what comes later can tell by fits
+    assert inquiry.prune() == set() and inquiry.stand is stood
+    inquiry.reserve = 0
     assert inquiry.prune() == {"column_offset"} and set(inquiry.chosen) == MISSING
     assert inquiry.bench.done - before <= 2 * len(stood.added) * steps.REMOVALS
     assert inquiry.stand.error == pytest.approx(stood.error, rel=0.03)
@@ -317,9 +320,9 @@ class Climb:
 def test_effects_are_judged_near_the_floor_and_once_nothing_more_promises_anything():
     far = Climb(["one", "doubted", "two"], far_off=(3, 2, 1))
     told = play(far, None)
-    assert told == ["take up one", "take up doubted", "take up two", *["drop the useless", "judge"] * 2]
+    assert told == ["take up one", "take up doubted", "take up two", *["drop the useless", "judge"] * 2, "judge"]
     assert far.chosen == ["one", "two"]
-    assert play(Climb(["one"], far_off=(0,)), None) == ["take up one", "judge"]
+    assert play(Climb(["one"], far_off=(0,)), None) == ["take up one", "judge", "judge"]
 
 
 def test_other_forms_come_first_where_they_promise_more_than_all_that_waits():
@@ -353,12 +356,12 @@ class TwoWays(Climb):
 @pytest.mark.parametrize(("second", "kept"), [(1.4, 1.4), (1.6, 1.5)])
 def test_what_a_first_way_leaves_unexplained_is_gone_at_a_second_time_with_half_the_budget(second, kept):
     both = TwoWays(second)
-    assert play(both, None) == ["50 of 100 kept", "take up one", "judge", "afresh", "judge"]
+    assert play(both, None) == ["50 of 100 kept", "take up one", "judge", "afresh", "judge", "judge"]
     assert both.reserve == 0 and both.stands[-1].error == kept
     assert "afresh" not in play(TwoWays(second, content=True), None)
     cheap = TwoWays(second)
     cheap.bench.is_cheap = True  # values are matched again beside every effect: one way has all the budget
-    assert play(cheap, None) == ["0 of 100 kept", "take up one", "judge"]
+    assert play(cheap, None) == ["0 of 100 kept", "take up one", "judge", "judge"]
 
 
 def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():

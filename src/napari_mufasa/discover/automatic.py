@@ -114,6 +114,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
     if twice and inquiry.chosen and not inquiry.stand.content and inquiry.begin_afresh():
         _one_way(inquiry, max_effects)
         inquiry.stands = min(first_way, inquiry.stands, key=lambda stands: stands[-1].error)
+    inquiry.prune()
     if inquiry.chosen and inquiry.stand.content:
         inquiry.exchange()
     while inquiry.merge():

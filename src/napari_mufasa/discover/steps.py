@@ -99,7 +99,7 @@ class Steps(Standing):
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
         worth what one needs, then one by one (not where only what is `sure` shall go); what only a whole fit without
         them can tell is told by one. Where the budget affords none, what is worth far less goes all the same, the least
-        first, all else where it is. Returns the kinds taken out."""
+        first, all else where it is; but not while some of it is kept for later. Returns the kinds taken out."""
         dropped: set[str] = set()
         at_once = True
         while self.chosen:
@@ -115,7 +115,7 @@ class Steps(Standing):
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
             far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
             if not self.affords(0):
-                if not far_less:
+                if not far_less or self.reserve:
                     break
                 self.stands[-1] = self._seen_in(joint.left_out(stand.library, far_less[0]))
                 dropped.add(far_less[0])
