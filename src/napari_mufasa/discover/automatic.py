@@ -102,8 +102,9 @@ def diagnose_traces(
 
 def play(inquiry: Investigation, max_effects: int | None) -> Report:
     """The whole conversation, by one way and, where that leaves something unexplained, by a second: what it has ended
-    with begun afresh. The one that leaves less error is kept. Where simulations are cheap, one way has all the budget:
-    values are matched again beside every effect there, which leaves them less room to go astray."""
+    with begun afresh. The one that leaves less error is kept, and what was spared in it for the budget's sake is
+    judged. Where simulations are cheap, one way has all the budget: values are matched again beside every effect
+    there, which leaves them less room to go astray."""
     inquiry.examine()
     ranking = inquiry.rank(0)
     twice = not inquiry.bench.is_cheap

@@ -50,6 +50,7 @@ def simulate_photons(
     streams : every molecule draws from a stream of its own
     population : names the molecules' streams where another population has those without a name
     workers : threads that share the molecules; the result does not hang on them
+    with_expected : return what was expected, too (8 bytes of a molecule and frame)
     engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, where k01/k10 > 10⁻², a frame
         is shorter than 100 lifetimes, or the chain has no single emitting transition
 
