@@ -270,7 +270,8 @@ class Climb:
 
     def __init__(self, kinds, far_off, apart=True):
         self.ahead, self.far_off, self.chosen, self.told, self.apart = list(kinds), far_off, [], [], apart
-        self.left, self.stands, self.bench = 100, [], SimpleNamespace(is_cheap=False)
+        self.left, self.stands = 100, [SimpleNamespace(error=1.5)]
+        self.bench = SimpleNamespace(is_cheap=False)
 
     @property
     def stand(self):
@@ -322,7 +323,16 @@ def test_effects_are_judged_near_the_floor_and_once_nothing_more_promises_anythi
     told = play(far, None)
     assert told == ["take up one", "take up doubted", "take up two", *["drop the useless", "judge"] * 2, "judge"]
     assert far.chosen == ["one", "two"]
-    assert play(Climb(["one"], far_off=(0,)), None) == ["take up one", "judge", "judge"]
+    for left_far_off in ((), (0,)):  # no second way is possible here: then there is nothing to wait for
+        told = play(Climb(["one"], left_far_off), None)
+        assert [words for words in told if words != "drop the useless"] == ["take up one", "judge", "judge"]
+
+
+def test_no_look_is_taken_that_the_budget_would_let_nobody_follow():
+    spent = Climb(["one", "two"], far_off=())
+    spent.affords = lambda n: not spent.chosen
+    spent.look = lambda: spent.told.append("look")
+    assert play(spent, None) == ["look", "take up one", "drop the useless", "judge", "judge"]
 
 
 def test_other_forms_come_first_where_they_promise_more_than_all_that_waits():
@@ -335,9 +345,9 @@ def test_other_forms_come_first_where_they_promise_more_than_all_that_waits():
 class TwoWays(Climb):
     """One effect by either way; the second leaves so much error."""
 
-    def __init__(self, second, content=False):
-        super().__init__(["one"], far_off=(0,))
-        self.second, self.content, self.stands = second, content, [SimpleNamespace(error=1.5)]
+    def __init__(self, second, content=False, far_off=(0,)):
+        super().__init__(["one"], far_off)
+        self.second, self.content = second, content
 
     @property
     def stand(self):
@@ -356,8 +366,10 @@ class TwoWays(Climb):
 @pytest.mark.parametrize(("second", "kept"), [(1.4, 1.4), (1.6, 1.5)])
 def test_what_a_first_way_leaves_unexplained_is_gone_at_a_second_time_with_half_the_budget(second, kept):
     both = TwoWays(second)
-    assert play(both, None) == ["50 of 100 kept", "take up one", "judge", "afresh", "judge", "judge"]
+    assert play(both, None) == ["50 of 100 kept", "take up one", "afresh", "judge", "judge"]  # far off: not yet judged
     assert both.reserve == 0 and both.stands[-1].error == kept
+    near = [words for words in play(TwoWays(second, far_off=()), None) if words != "drop the useless"]
+    assert near == ["50 of 100 kept", "take up one", "judge", "afresh", "judge", "judge"]
     assert "afresh" not in play(TwoWays(second, content=True), None)
     cheap = TwoWays(second)
     cheap.bench.is_cheap = True  # values are matched again beside every effect: one way has all the budget

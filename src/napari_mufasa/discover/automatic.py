@@ -112,7 +112,8 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
     _one_way(inquiry, max_effects)
     inquiry.reserve = 0
     first_way = inquiry.stands
-    if twice and inquiry.chosen and not inquiry.stand.content and inquiry.begin_afresh():
+    unexplained = inquiry.chosen and not inquiry.stand.content
+    if twice and unexplained and (inquiry.begin_afresh() or inquiry.stand.far_off):
         _one_way(inquiry, max_effects)
         inquiry.stands = min(first_way, inquiry.stands, key=lambda stands: stands[-1].error)
     inquiry.prune()
@@ -127,11 +128,12 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
 def _one_way(inquiry: Investigation, max_effects: int | None) -> None:
     """What explains the misfit is taken up together and fitted together until nothing more promises anything; what does
     not earn its place goes again, and another look is taken, until all that is left has earned it, or the budget is
-    spent."""
+    spent. Nothing is judged far from the floor while a second way is to come."""
     dismissed: dict[str, set[str]] = {}  # kinds taken out again, and beside which others
     while True:
         _climb(inquiry, max_effects, dismissed)
-        dropped = inquiry.prune()
+        too_early = inquiry.reserve and inquiry.stand.far_off
+        dropped = set[str]() if too_early else inquiry.prune()
         _dismiss(dismissed, dropped, inquiry)
         if inquiry.stand.content or not (dropped or (inquiry.chosen and (inquiry.deepen() or inquiry.exchange()))):
             break
@@ -143,7 +145,7 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
     while True:
         if inquiry.chosen and not inquiry.stand.far_off:
             _dismiss(dismissed, inquiry.prune(sure=True), inquiry)
-        if inquiry.chosen and inquiry.stand.content:
+        if inquiry.chosen and (inquiry.stand.content or not inquiry.affords(1)):
             break
         inquiry.look()
         stand, known = inquiry.stand, set(inquiry.chosen)

@@ -269,7 +269,8 @@ class Steps(Standing):
         if not self._settle(state, below=stand.misfit + needed):
             return None
         lesser = self.stands.pop()
-        return None if stand.is_worth(_worth_beside(stand, lesser, needed)) else lesser
+        risen = lesser.error > NOT_RISEN * stand.error
+        return None if risen or stand.is_worth(_worth_beside(stand, lesser, needed)) else lesser
 
     def _note_rivals(self, kind: str, tries: Sequence[State]) -> None:
         """Note what was begun in the place of an effect and cannot be told from it; the more misfit is left, the
