@@ -153,9 +153,7 @@ def removed(library: Library, *kinds: str) -> State:
     """The model that the library is about without some of its effects, its mean simulated, its free values where they
     are: how they would make up for it follows from their slopes."""
     if kinds not in library.without:
-        state = library.base
-        for kind in kinds:
-            state = state.without(kind)
+        state = _without(library.base, kinds)
         if not any(library.bench.read_off(effect.kind) for effect in state.model.effects):
             state = replace(state, unread={})
         rows = library.simulated([(state.model, k) for k in range(REMOVALS)])
@@ -165,12 +163,24 @@ def removed(library: Library, *kinds: str) -> State:
 
 
 def left_out(library: Library, kind: str) -> Library:
-    """The neighbourhood as it is, without an effect that does next to nothing there: only the mean is simulated."""
+    """The neighbourhood as it is, without an effect that does next to nothing there, neither beside the others nor
+    without one of them: only the mean is simulated."""
     base = removed(library, kind)
     shift = base.mean - library.base.mean
-    return replace(
-        library, base=replace(base, check=base.check + shift), rows=library.rows + shift, without={}, formed={}
-    )
+    base = replace(base, check=base.check + shift)
+    without = {
+        others: replace(_without(base, others), mean=state.mean + shift)
+        for others, state in library.without.items()
+        if kind not in others
+    }
+    return replace(library, base=base, rows=library.rows + shift, without=without, formed={})
+
+
+def _without(state: State, kinds: Sequence[str]) -> State:
+    """The state whose model lacks some of its effects; its mean is still that of the model with them."""
+    for kind in kinds:
+        state = state.without(kind)
+    return state
 
 
 def lacking(library: Library, state: State, kind: str) -> State:

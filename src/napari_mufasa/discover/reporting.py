@@ -12,13 +12,13 @@ from scipy import stats
 from napari_mufasa.discover import joint, nuisance
 from napari_mufasa.discover.metric import stretch
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
-from napari_mufasa.discover.rules import ALARM, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
+from napari_mufasa.discover.rules import ALARM, CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.state import SCALES, State, scaled
 from napari_mufasa.model.model import Model
 
-CURVE_SEED, CURVE_SIMULATIONS = 7_000, 6
+CURVE_SEED = 7_000
 NOT_HERE = "not measurable here"  # where an observable is that the measurement or some simulation does not show
 
 
@@ -26,7 +26,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
     """Everything a report holds, from the investigation as it stands."""
     base, final, stand, model = inquiry.first.state, inquiry.state, inquiry.stand, inquiry.model
     table = _table(inquiry)
-    numbers = range(CURVE_SEED, CURVE_SEED + CURVE_SIMULATIONS)
+    numbers = range(CURVE_SEED, CURVE_SEED + CURVES)
     before = inquiry.bench.observations([(base.model, k) for k in numbers])
     after = inquiry.bench.observations([(model, k) for k in numbers]) if stand.added else before
     verdict = verdict or verdict_of(inquiry)

@@ -64,4 +64,6 @@ STEP_SIMULATIONS = TRIALS * len(SHARES)  # of a step at most
 REMOVALS = 6  # of a model without one of its effects
 FOLLOWED = 32  # with all free values moved, that tell how far fits follow
 LEAST_FOLLOWED = 0.2  # … of which no less is believed
+CURVES = 6  # of the model believed and of the completed one, that are drawn
+TELLING = FOLLOWED + 2 * CURVES  # that a report takes
 FINITE = 0.03  # relative uncertainty of a parameter that this finite number of simulations leaves

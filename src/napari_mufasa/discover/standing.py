@@ -11,7 +11,7 @@ from napari_mufasa.discover import library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.result import Candidate
-from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, START
+from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, START, TELLING
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.state import State
 from napari_mufasa.model.model import Model
@@ -76,8 +76,8 @@ class Standing:
 
     @property
     def left(self) -> int:
-        """Simulations that may still be spent, but for the reserve."""
-        return self.budget - self.reserve - self.bench.done
+        """Simulations that may still be spent, but for the reserve and those that a report takes."""
+        return self.budget - self.reserve - self.bench.done - TELLING
 
     def affords(self, n_effects: int) -> bool:
         """Whether so many effects can be started and settled within the budget, with one step downhill at least; and
