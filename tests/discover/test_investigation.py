@@ -303,6 +303,9 @@ class Climb:
 
     deepen = merge = begin_afresh = widen
 
+    def arrive(self):
+        pass
+
     def exchange(self, waiting=None, kinds=None):
         if waiting is not None:
             self.told.append(f"forms of {'all' if kinds is None else min(kinds)} that promise more than {waiting:.0f}")
@@ -384,10 +387,15 @@ def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():
     brightness = 1.6 * found.state.model.optics.brightness_correction
     astray = found.state.model.with_values({"optics.brightness_correction": brightness, "sample.n_molecules": 36})
     inquiry._stand_at(joint.seen_from(found.library, astray, KINDS))
-    assert inquiry.stand.error > 1.5 * found.error
+    led_astray = inquiry.stand.error
+    assert led_astray > 1.5 * found.error
     assert inquiry.begin_afresh()
     assert len(inquiry.stands) == 2 and inquiry.first.state is first.state and set(inquiry.chosen) == MISSING
-    assert inquiry.stand.error < 1.25 * found.error
+    model, before = inquiry.stand.state.model, found.state.model
+    assert model.optics.brightness_correction == pytest.approx(before.optics.brightness_correction, rel=0.25)
+    assert model.sample.n_molecules < 18  # half-way between 8 and 36 on a log scale
+    # Of so few molecules the error scatters by a half, as the last digits of a machine fall.
+    assert inquiry.stand.error < led_astray / 1.25
     assert set(inquiry.stand.library.rays) == set(KINDS) - MISSING
     assert not inquiry.begin_afresh()  # one step has led there: nothing can have been led astray
     inquiry.stands = stands = [first, found, inquiry.stand]

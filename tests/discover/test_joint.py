@@ -434,6 +434,24 @@ def test_a_neighbourhood_is_left_only_where_a_step_leads_to_the_measurement(ligh
     assert deeper.base.model.optics.brightness_correction == pytest.approx(light, rel=0.03)
 
 
+@pytest.mark.parametrize(("fraction", "electrons"), [(5e-3, 10.0), (9e-3, 5.0), (2e-3, 22.0), (2e-2, 4.0)])
+def test_values_are_told_from_where_they_are_and_not_by_slopes_from_elsewhere(fraction, electrons):
+    """Slopes leave as little misfit as the truth does, at electrons up to twice off; noise allows about 2 %."""
+    bench, here = ToyBench(), HOT(fraction=5e-3, electrons=10.0)
+    x = bench.rows([(bench.start.with_effects(HOT(fraction=fraction, electrons=electrons)), 999)])[0]
+    near = build(bench, bench.start.with_effects(here), [], ["hot_pixels"])
+    spent = bench.done
+    found = joint.arrived(near, x, ["hot_pixels"], 1000)
+    if fraction == here.fraction:
+        assert found is None and bench.done == spent
+        return
+    by_slopes = near.base.model_at(near.base.adjusted(x).moves).effects[0]
+    assert near.base.misfit(x) < usual_misfit() and abs(np.log(by_slopes.electrons / electrons)) > 0.15
+    told = found.base.model_at(found.base.adjusted(x).moves).effects[0]
+    assert (told.fraction, told.electrons) == pytest.approx((fraction, electrons), rel=0.05)
+    assert np.all(np.abs(found.base.adjusted(x).moves) < rules.LINEAR)
+
+
 def test_no_more_is_spent_than_may_be():
     bench = CurvedBench()
     stand = stand_of(bench, bench.start.with_values({"optics.brightness_correction": 3.6}), kinds=[])

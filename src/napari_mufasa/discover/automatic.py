@@ -101,10 +101,10 @@ def diagnose_traces(
 
 
 def play(inquiry: Investigation, max_effects: int | None) -> Report:
-    """The whole conversation, by one way and, where that leaves something unexplained, by a second: what it has ended
-    with begun afresh. The one that leaves less error is kept, and what was spared in it for the budget's sake is
-    judged. Where simulations are cheap, one way has all the budget: values are matched again beside every effect
-    there, which leaves them less room to go astray."""
+    """The whole conversation, by one way and, where that leaves something unexplained, by a second: what it has
+    ended with begun afresh. The one that leaves less error is kept, and what was spared in it for the budget's sake
+    is judged; its values are told from where they have come to. Where simulations are cheap, one way has all the
+    budget: values are matched again beside every effect there, which leaves them less room to go astray."""
     inquiry.examine()
     ranking = inquiry.rank(0)
     twice = not inquiry.bench.is_cheap
@@ -121,6 +121,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         inquiry.exchange()
     while inquiry.merge():
         inquiry.prune()
+    inquiry.arrive()
     inquiry.ranking = [candidate for candidate in ranking if candidate.effect not in inquiry.chosen]
     return inquiry.report()
 

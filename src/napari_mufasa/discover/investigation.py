@@ -100,6 +100,7 @@ class Investigation(Steps):
                 state = begun(stand.library, state, each_form(effect_class(kind)()), stand.x)
         self.kinds += [kind for kind in kinds if kind not in self.kinds]
         self._settle(state)
+        self.arrive()
 
     def remove(self, *kinds: str) -> None:
         """Take effects out; the others are fitted anew."""
@@ -108,6 +109,7 @@ class Investigation(Steps):
                 raise MufasaError(f"{kind} was not added: {', '.join(self.stand.added) or 'nothing'} can be taken out")
         self.bench.plan(REMOVALS + self._settling(0))
         self._settle(joint.removed(self.stand.library, *kinds))
+        self.arrive()
 
     def report(self, verdict: Verdict | None = None) -> Report:
         """What has been found so far."""

@@ -21,6 +21,7 @@ from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.rules import (
     DEEPER,
     DESCENTS,
+    LINEAR,
     NEARER,
     PROMISED,
     REMOVALS,
@@ -72,6 +73,17 @@ def deepened(library: Library, x: Array, kinds: Sequence[str], most: int) -> Lib
     if there.model is here.model or not _seen(library, there, there.model, UNSEEN).misfit(x) < DEEPER * here.misfit(x):
         return None
     return seen_from(library, there.model, kinds)
+
+
+def arrived(library: Library, x: Array, kinds: Sequence[str], most: int) -> Library | None:
+    """The neighbourhood of where the library's free values are at their best by simulations, where its slopes put a
+    parameter farther away than a model is about linear; None where they do not, or no step leads there. Of simulations
+    about `most` are spent, none where it is near."""
+    here = library.base
+    if not np.any(np.abs(here.adjusted(x).moves[len(here.values) :]) > LINEAR):
+        return None
+    there = descended(library, here, here.model, x, most - _around(library, here, kinds))
+    return None if there.model is here.model else seen_from(library, there.model, kinds)
 
 
 def seen_from(library: Library, model: Model, kinds: Sequence[str]) -> Library:

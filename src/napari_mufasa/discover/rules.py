@@ -41,6 +41,7 @@ FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tr
 # before it is at its best; of all that is explained: what is worth less may be the form of its rival
 NEARER = 0.97  # of the misfit: simulations of where a step downhill leads confirm it
 PROMISED = 2.0  # −2 log likelihood: a step downhill of which the slopes promise less is not worth its simulations
+LINEAR = 0.4  # log units or quarters of the range: as far about as a model is linear in a parameter
 DEEPER = 0.9  # of the misfit: a place further downhill is worth derivatives, and the simulations of its neighbourhood
 
 # The budget of simulations ----------------------------------------------------------------------------------

@@ -95,6 +95,17 @@ class Steps(Standing):
         self.undo()
         return False
 
+    def arrive(self) -> None:
+        """See the model from where its values are at their best, so that what is told of them is what simulations with
+        them show: slopes taken elsewhere promise along a valley what is not to be had at its end."""
+        stand = self.stand
+        if not self.chosen or not self.affords(0):
+            return
+        self.bench.plan(self._settling(0))
+        near = joint.arrived(stand.library, stand.x, self.kinds, self.left)
+        if near is not None:
+            self.stands[-1] = replace(self._seen_in(near), confirmed=stand.confirmed)
+
     def prune(self, sure: bool = False) -> set[str]:
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
         worth what one needs, then one by one (not where only what is `sure` shall go); what only a whole fit without

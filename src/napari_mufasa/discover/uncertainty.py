@@ -15,11 +15,10 @@ from scipy.linalg import hadamard
 
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import Library
-from napari_mufasa.discover.rules import FINITE, FOLLOWED, LEAST_FOLLOWED
+from napari_mufasa.discover.rules import FINITE, FOLLOWED, LEAST_FOLLOWED, LINEAR
 from napari_mufasa.discover.state import State
 
 Array = NDArray[np.float64]
-LINEAR = 0.4  # log units or quarters of the range: as far about as a model is linear
 WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
 
 
