@@ -12,6 +12,7 @@ from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.library import CHECK_SEED, build
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
+from napari_mufasa.discover.read_off import stands_still
 from napari_mufasa.discover.reporting import NOT_HERE
 from napari_mufasa.discover.rules import BASE_SIMULATIONS
 from napari_mufasa.effects import effect_class
@@ -50,6 +51,30 @@ def test_dark_frames_tell_how_the_read_noise_is_mixed_unless_the_model_believed_
     believed = model.with_values({"camera.read_noise_kernel": (0.3,)})
     assert MovieBench(prepare(movie, believed, dark), 1).read_off("serial_readout") == {"noise_ratio": 0.0}
     assert MovieBench(prepare(movie, model, None), 1).read_off("serial_readout") == {}
+
+
+def test_dark_frames_have_a_part_in_a_drift_where_they_show_one():
+    """Still ones are taken for drifting in 0.3 % of cases by chance (10 of 1000 or more with 10⁻³), though they
+    alternate; a drift of six standard deviations passes for none in 0.13 % (8 of 1000 or more: 10⁻⁴)."""
+    noise = np.random.default_rng(1).standard_normal((1000, 30, 2, 2))
+    alternating = np.where(np.arange(30) % 2, 3.0, -3.0)[:, None, None]
+    assert sum(not stands_still(each + alternating) for each in noise) < 15
+    slope = 6 * 0.5 * np.sqrt(2 / 10) / 20  # per frame: thirds lie 20 frames apart
+    drift = slope * np.arange(30)[:, None, None]
+    assert sum(stands_still(each + alternating + drift) for each in noise) < 20
+    assert not stands_still(np.zeros((5, 2, 2)))  # too few to tell
+
+
+def test_a_drift_that_dark_frames_do_not_show_is_not_looked_for_there():
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 60, "acquisition.shape_px": (48, 48), "sample.n_molecules": 20}
+    )
+    drifting = model.with_effects(effect_class("baseline_drift")(drift_adu=8.0))
+    movie = nm.simulate(drifting, seed=1).movie
+    before, apart = nm.simulate_dark(drifting, 40, 2), nm.simulate_dark(model, 40, 2)
+    assert "in_dark" not in MovieBench(prepare(movie, model, before), 1).read_off("baseline_drift")
+    assert MovieBench(prepare(movie, model, apart), 1).read_off("baseline_drift")["in_dark"] == 0.0
+    assert "in_dark" not in MovieBench(prepare(movie, model, None), 1).read_off("baseline_drift")
 
 
 class GapBench(Bench):

@@ -283,12 +283,24 @@ def test_dark_frames_do_not_share_the_course_that_was_seen_in_the_movie_but_wand
     movie = flat(seen, shape=(64, 64)).mean(axis=(1, 2))
     at = np.array([12, 37, 62, 87])  # near the middle of each quarter
     np.testing.assert_allclose(movie[at] - movie[at[0]], [0, 30, -15, 6], atol=2.0)
-    courses = [dark(seen, shape=(64, 64), seed=seed).mean(axis=(1, 2)) for seed in (1, 2, 3)]
+    as_long = {"acquisition.n_frames": 100}
+    courses = [dark(seen, shape=(64, 64), seed=seed, **as_long).mean(axis=(1, 2)) for seed in (1, 2, 3)]
     assert [np.abs(c - c[0]).max() for c in courses] == pytest.approx([30] * 3, abs=1.0)
     assert all(abs(np.corrcoef(c, movie)[0, 1]) < 0.99 for c in courses)
     assert np.abs(courses[0] - courses[1]).max() > 10
-    as_long = dark(effect("baseline_drift", drift_adu=30.0), shape=(64, 64)).mean(axis=(1, 2))
-    assert as_long[-1] - as_long[0] == pytest.approx(30, abs=1.0)  # a law goes on in the dark
+
+
+@pytest.mark.parametrize(
+    ("form", "first", "quarter"), [("linear", -15.15, -11.36), ("saturating", -53.29, -33.17), ("step", 0.0, 0.0)]
+)
+def test_a_baseline_comes_to_the_movie_by_way_of_the_dark_frames_taken_just_before(form, first, quarter):
+    """15 (1 − exp(100/99τ)) / (1 − exp(−1/τ)) where it settles, τ = 0.8. There is no noise: counts are rounded down."""
+    drift = effect("baseline_drift", drift_adu=15.0, form=form, settling_time=0.8)
+    before = dark(drift, shape=(8, 8), **{"acquisition.n_frames": 100}).mean(axis=(1, 2))
+    assert before[[0, 25]] == pytest.approx([first - 0.5, quarter - 0.5], abs=0.52)
+    assert before[-1] == pytest.approx(-0.5, abs=0.5)  # the movie's first frame follows
+    apart = dark(drift.model_copy(update={"in_dark": 0.0}), shape=(8, 8))
+    assert np.all(apart == 0)
 
 
 @pytest.mark.parametrize("form", ["points", "tracks"])

@@ -16,7 +16,7 @@ from napari_mufasa.discover import curves, nuisance
 from napari_mufasa.discover.bench import Bench, Job, as_table
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.read_off import background_beyond, in_scale_of, read_off, told_for
+from napari_mufasa.discover.read_off import background_beyond, in_scale_of, read_off, stands_still, told_for
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.extent import Extent
@@ -121,8 +121,15 @@ class MovieBench(Bench[Observation]):
             found = read_off(kind, self.measured.only(part))
             if part != "all":
                 found = in_scale_of(read_off(kind, self.measured), found)
+            if kind == "baseline_drift" and self._dark_is_apart:
+                found |= {"in_dark": 0.0}
         extent = self.start.effects_refer_to
         return found if extent is None else told_for(extent, found)
+
+    @cached_property
+    def _dark_is_apart(self) -> bool:
+        """Have dark frames no part in a drift, for they were taken apart from the movie?"""
+        return self.measurement.dark is not None and stands_still(self.measurement.dark)
 
     @cached_property
     def _dark_rows(self) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import pywt
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
+from napari_mufasa.discover.rules import OFF
 from napari_mufasa.effects.courses import stepwise
 from napari_mufasa.model.extent import Extent
 from napari_mufasa.observe import Observation
@@ -272,6 +273,17 @@ def long_axis(observation: Observation) -> dict[str, float]:
     spots = observation.spots
     along_y, along_x, oblique = mean_shape(spots, spots.inside & spots.isolated, range(spots.shape.shape[1]))
     return {"axis_deg": float(np.rad2deg(0.5 * np.arctan2(2 * oblique, along_x - along_y)) % 180)}
+
+
+def stands_still(dark: NDArray[Any]) -> bool:
+    """Do dark frames (frame, y, x) show no drift, the last third beside the first? How their means scatter is told by
+    frames two apart: a baseline may alternate."""
+    course = dark.mean(axis=(1, 2), dtype=np.float64)
+    third = len(course) // 3
+    if third < 2:
+        return False
+    drift = course[-third:].mean() - course[:third].mean()
+    return bool(abs(drift) < OFF * (course[2:] - course[:-2]).std() / np.sqrt(third))
 
 
 READERS: dict[str, Reader] = {

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from napari_mufasa.camera.detector import Stack, multiplication_noise
 from napari_mufasa.effects import pattern
@@ -257,12 +258,18 @@ class BaselineDrift(Effect):
     step_at: float = step_time()
     step_frames: float = step_length()
     settling_time: float = settling()
+    in_dark: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="its share in dark frames: 1 they were taken just before the movie, 0 apart from it",
+    )
     course: tuple[float, ...] = seen_path()
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     def in_the_dark(self) -> Effect:
         """A baseline that wanders does so in dark frames, too, but along a path that the movie does not show."""
-        return self.model_copy(update={"course": ()})
+        return self.model_copy(update={"course": (), "drift_adu": self.in_dark * self.drift_adu})
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         drift_adu = drifted(

@@ -17,7 +17,8 @@ def course(
     form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float = 0.5, step_frames: float = 0.0,
     settling_time: float = SETTLING, seen: tuple[float, ...] = (),
 ) -> NDArray[np.float64]:  # fmt: skip
-    """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering.
+    """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering. Before the
+    movie (progress below 0: dark frames) a law goes on backwards.
 
     What saturates settles exponentially, within `settling_time` of the movie by all but 1/e. What wanders follows
     `seen`, values at equal times, where they are given; else it is a random walk.
@@ -36,7 +37,8 @@ def course(
     else:
         walk = np.cumsum(rng.standard_normal(len(progress)))
         walk -= walk[0]
-        path = walk / max(np.abs(walk).max(), 1e-12)
+        as_long_as_the_movie = int(np.searchsorted(progress, progress[0] + 1 + 1e-9))
+        path = walk / max(np.abs(walk[:as_long_as_the_movie]).max(), 1e-12)
     return path
 
 

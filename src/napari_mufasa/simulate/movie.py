@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
 from napari_mufasa.cluster import in_order
+from napari_mufasa.model.extent import Extent
 from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics.engines import Engine, Exposure, simulate_photons
 from napari_mufasa.simulate import layout
@@ -197,7 +198,7 @@ def simulate_emission(
 
 
 def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint16]:
-    """Dark frames of the model's camera, (frame, y, x) uint16: no light, all camera effects.
+    """Dark frames of the model's camera just before the movie, (frame, y, x) uint16: no light, all camera effects.
 
     The sensor's patterns are those of the movie with the same seed, its noise is not, nor is a course that was seen in
     the movie (`Effect.in_the_dark`). Raises `MufasaError` for a number of frames or a seed that cannot be used.
@@ -206,11 +207,12 @@ def simulate_dark(model: Model, n_frames: int, seed: int = 0) -> NDArray[np.uint
     _check(model, 0)
     height, width = model.acquisition.shape_px
     checks.affordable(10 * int(n_frames) * height * width, f"{n_frames} dark frames", "take fewer, or a smaller field")
-    # Slow courses keep the movie's pace: the dark frames are as if taken at its beginning.
-    frames = max(int(n_frames), model.acquisition.n_frames)
+    frames = int(n_frames) + model.acquisition.n_frames
+    lit = Extent(frames=(int(n_frames) / frames, 1.0))  # slow courses come to the movie by way of the dark frames
     optics = model.optics.model_copy(update={"background_photons_per_px": 0.0})
     effects = tuple(effect.in_the_dark() for effect in model.effects)
     dark_model = model.in_shape(n_frames=frames).model_copy(update={"optics": optics, "effects": effects})
+    dark_model = dark_model.referring_to((model.effects_refer_to or Extent()).placed_in(lit))
     # The sensor's patterns are the movie's (same seed); its noise is not.
     scene = build_scene(dark_model, np.empty((0, 2)), Streams(seed))
     scene.streams = Streams(seed + 2**32)
