@@ -230,7 +230,11 @@ def test_twelve_movies_killed_half_way_are_told_apart(tmp_path):
     assert not list(out.rglob(".*")), "a killed run leaves nothing half-written behind the next one"
     table = pd.read_csv(out / "summary.csv")
     drifting = table["condition"] == "drift"
-    assert (table.loc[drifting, "effects"] == "stage_drift").all()
+    named = table.loc[drifting, "effects"]
+    assert named.str.contains("stage_drift").all()
+    # A further name is taken up by chance in 1 % of movies, by `rules.FURTHER`: in two of six in 0.15 %. One has six
+    # molecules, of which one or none bleaches, as the last digits of a machine fall.
+    assert (named == "stage_drift").sum() >= 5
     # Where nothing is missing 2.5 % of movies raise an alarm: one of six in 13 %, more in 0.9 %. With one, conditions
     # differ by Fisher's test of drift alone (0.015), but no longer where all that is compared is accounted for.
     assert (table.loc[~drifting, "verdict"] == "adequate").sum() >= 5
