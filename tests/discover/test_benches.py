@@ -54,14 +54,15 @@ def test_dark_frames_tell_how_the_read_noise_is_mixed_unless_the_model_believed_
 
 
 def test_dark_frames_have_a_part_in_a_drift_where_they_show_one():
-    """Still ones are taken for drifting in 0.3 % of cases by chance (10 of 1000 or more with 10⁻³), though they
-    alternate; a drift of six standard deviations passes for none in 0.13 % (8 of 1000 or more: 10⁻⁴)."""
+    """Of series that stand still 0.8 % are taken for drifting by chance (15 of 1000 or more: 2 %; the seed is fixed),
+    though they alternate; a drift of six standard deviations passes for none in 0.3 % (12 of 1000 or more: 10⁻⁴). Both
+    shares are of 20 000: the scatter itself is told by 28 differences."""
     noise = np.random.default_rng(1).standard_normal((1000, 30, 2, 2))
     alternating = np.where(np.arange(30) % 2, 3.0, -3.0)[:, None, None]
     assert sum(not stands_still(each + alternating) for each in noise) < 15
     slope = 6 * 0.5 * np.sqrt(2 / 10) / 20  # per frame: thirds lie 20 frames apart
     drift = slope * np.arange(30)[:, None, None]
-    assert sum(stands_still(each + alternating + drift) for each in noise) < 20
+    assert sum(stands_still(each + alternating + drift) for each in noise) < 12
     assert not stands_still(np.zeros((5, 2, 2)))  # too few to tell
 
 
