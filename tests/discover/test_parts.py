@@ -1,5 +1,7 @@
 """The parts a diagnosis is made of, on cases whose answer is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import optimize
@@ -11,6 +13,7 @@ from napari_mufasa.discover.derivatives import free_steps
 from napari_mufasa.discover.library import as_seen, ray_settings
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.null import Null
+from napari_mufasa.discover.reporting import detectable
 from napari_mufasa.discover.state import Ray, State, scaled, two_sided
 from napari_mufasa.effects import catalogue, effect_class
 from napari_mufasa.observe import PARTS
@@ -307,6 +310,20 @@ def test_an_effect_of_two_directions_is_found_in_the_other_one():
             assert after == pytest.approx(-0.7 * before)
         else:
             assert lead.scale > 0 and lead.gain < 8  # no negative flicker
+
+
+def test_what_would_have_been_seen_is_told_from_where_there_is_none_of_it():
+    """Settings on either side of the ideal register promise alike, as far from it: their middle is not the ideal."""
+    state, shift = toy_state(), np.zeros((3, 25))
+    shift[:, 5:9] = 40.0
+    register = effect_class("em_excess_noise")
+    rays = [Ray(register(excess_noise_factor=f), np.sign(f - 2) * shift, 2.0) for f in (1.2, 2.8)]
+    stand = SimpleNamespace(needed=25.0, library=SimpleNamespace(rays={"em_excess_noise": rays}))
+    # 80 % power for 25 takes √(0.84² + 25) + 0.84 = 5.91 sd; four observables move by 80 sd together at the rays' ends.
+    told = detectable(SimpleNamespace(state=state, stand=stand))
+    assert told == {"em_excess_noise": pytest.approx(2 + 0.12 * 0.8)}  # the first step beyond 5.91 / 80 of the way
+    stand.needed = 1e6
+    assert detectable(SimpleNamespace(state=state, stand=stand)) == {"em_excess_noise": None}
 
 
 def test_changed_effects_keep_their_limits():

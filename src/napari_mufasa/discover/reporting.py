@@ -15,7 +15,7 @@ from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.discover.rules import ALARM, CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.standing import Standing
-from napari_mufasa.discover.state import SCALES, State, scaled
+from napari_mufasa.discover.state import SCALES, State
 from napari_mufasa.model.model import Model
 
 CURVE_SEED = 7_000
@@ -146,22 +146,22 @@ def _remaining(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 def detectable(inquiry: Standing) -> dict[str, float | None]:
     """The smallest strength of each effect not in the model that this data would have shown with 80 % power, by the
-    emulator."""
+    emulator; where nothing is another strength than 0, above that."""
     state, threshold = inquiry.state, inquiry.stand.needed
     w, spread = state.whiten[0], state.spread[0]
     slope = np.vstack([w @ (state.slopes[0] / spread[:, None]), np.diag(1 / state.prior)])
     q, _ = np.linalg.qr(slope)
     found: dict[str, float | None] = {}
     for kind, rays in inquiry.stand.library.rays.items():
-        strengths = []
+        distances = []
         for ray in rays:
             for scale in sorted({*SCALES, 0.03, 0.06}):
                 step = np.pad(w @ (8.0 * np.arcsinh(ray.shift[0] * scale / spread / 8.0)), (0, len(state.prior)))
                 power = float(((step - q @ (q.T @ step)) ** 2).sum())
                 if power - 0.84 * 2 * np.sqrt(power) > threshold:
-                    strengths.append(abs(float(getattr(scaled(ray.effect, scale, ray.none), ray.effect.strength))))
+                    distances.append(scale * abs(float(getattr(ray.effect, ray.effect.strength)) - ray.none))
                     break
-        found[kind] = float(np.median(strengths)) if len(strengths) > len(rays) / 2 else None
+        found[kind] = rays[0].none + float(np.median(distances)) if len(distances) > len(rays) / 2 else None
     return found
 
 

@@ -348,7 +348,10 @@ def detectable_rows(report: Report) -> list[tuple[str, list[str], str]]:
         words = "not at any plausible strength"
         if strength is not None:
             label, unit = parameter_label(kind, effect.strength) if effect is not None else ("strength", "")
-            words = f"{label} ≥ {strength:.2g} {unit}".strip()
+            words = f"{label} ≥ {_short(strength)}"
+            if effect is not None and strength > effect.null_value > effect.plausible()[effect.strength][0]:
+                words += f" or ≤ {_short(2 * effect.null_value - strength)}"
+            words = f"{words} {unit}".strip()
         rows.append((kind, [effect_title(kind), words], effect.what_it_does if effect is not None else ""))
     return rows
 
