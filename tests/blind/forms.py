@@ -92,6 +92,7 @@ KNOWN: dict[str, dict[str, Law]] = {
     "brightness_heterogeneity": {
         "log_normal": Law("lognormal", {"spread": "cv_in_this_movie"}),
         "two_levels": Law("two_levels", {"spread": "cv_in_this_movie"}),
+        "fixed_dipoles": Law("orientations", {"spread": "cv_in_this_movie"}),
     },
     "multiple_emitters": {
         "dimers": Law("dimers", {"fraction": "multiple_fraction"}),

@@ -168,7 +168,7 @@ def test_activated_molecules_are_what_they_would_have_been():
     check_share(np.mean(on_until(counts) > 90), 0.5 * np.exp(-slow * 0.9), 4000, slack=5e-3)
 
 
-@pytest.mark.parametrize("form", ["lognormal", "gamma", "two_levels"])
+@pytest.mark.parametrize("form", ["lognormal", "gamma", "two_levels", "orientations"])
 @pytest.mark.parametrize("spread", [0.2, 0.7])
 def test_brightness_spread_is_the_coefficient_of_variation(form, spread):
     positions = np.zeros((20_000, 2))
@@ -178,6 +178,20 @@ def test_brightness_spread_is_the_coefficient_of_variation(form, spread):
     assert brightness.mean() == pytest.approx(1, abs=4 * spread / np.sqrt(20_000))
     moment4 = np.mean((brightness - 1) ** 4)
     assert brightness.var() == pytest.approx(spread**2, abs=4 * np.sqrt(moment4 / 20_000) + 1e-9)
+
+
+def test_fixed_dipoles_absorb_as_their_directions_say():
+    """cos² of the angle to the field of a random direction u is below x for |u| < √x; sin², of that to the axis, below
+    1 − x for |u| > √x. In a larger spread than the field's polarisation makes there are no molecules."""
+    n = 20_000
+    for spread, cdf in (
+        (1 / np.sqrt(5), lambda b: 1 - np.sqrt(1 - np.clip(b / 1.5, 0, 1))),  # factor 1.5 sin², mean 1
+        (2 / np.sqrt(5), lambda b: np.sqrt(np.clip(b / 3, 0, 1))),  # factor 3 cos²
+        (2.0, lambda b: np.sqrt(np.clip(b / 3, 0, 1))),
+    ):
+        model = plain(n_frames=1).with_effects(effect("brightness_heterogeneity", spread=spread, form="orientations"))
+        brightness = scene_of(model, np.zeros((n, 2))).brightness
+        assert stats.kstest(brightness, cdf).pvalue > 1e-4
 
 
 def test_brightness_stays_with_its_molecule():

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import pytest
+from tests.report_example import report
 
 from napari_mufasa.report.words import detectable_rows
-from tests.report_example import report
 
 
 @pytest.mark.parametrize(

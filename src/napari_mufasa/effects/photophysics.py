@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.model.setup import Setup
@@ -277,7 +278,7 @@ class BrightnessHeterogeneity(Effect):
     spread: float = parameter(
         0.3, ge=0, le=3, plausible=(0.05, 0.7), unit="", description="relative spread of brightness (sd/mean)"
     )
-    form: Literal["lognormal", "gamma", "two_levels"] = "lognormal"
+    form: Literal["lognormal", "gamma", "two_levels", "orientations"] = "lognormal"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         n = len(scene.brightness)
@@ -288,9 +289,27 @@ class BrightnessHeterogeneity(Effect):
             factor = rng.lognormal(-(s**2) / 2, s, n)
         elif self.form == "gamma":
             factor = rng.gamma(1 / self.spread**2, self.spread**2, n)
-        else:  # a dim and a bright half
+        elif self.form == "two_levels":  # a dim and a bright half
             factor = 1 + min(self.spread, 1.0) * rng.choice([-1.0, 1.0], n)
+        else:
+            factor = absorption_of_dipoles(self.spread, n, rng)
         scene.brightness = scene.brightness * factor
+
+
+def absorption_of_dipoles(spread: float, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Relative absorption (n,) of dipoles in random directions, of mean 1 and sd `spread`.
+
+    A fixed dipole absorbs with the square of its component along the field. In unpolarised or circularly polarised
+    light that is sin² of its angle to the optical axis (sd 1/√5 of the mean), in linearly polarised light cos² of its
+    angle to the field (sd 2/√5). A smaller spread is one of molecules that tumble for a part of the time, one in between
+    of light that is polarised in part; there is none beyond (means of powers of direction cosines; Fourkas, Opt. Lett.
+    26, 211, 2001).
+    """
+    fixed = min(spread * np.sqrt(5), 1.0)
+    polarised = np.sqrt(np.clip((spread**2 - 1 / 5) / (3 / 5), 0.0, 1.0))
+    along = rng.uniform(-1, 1, n)
+    azimuth = rng.uniform(0, 2 * np.pi, n)
+    return 1 - fixed + fixed * 1.5 * (1 - along**2) * (1 + polarised * np.cos(2 * azimuth))
 
 
 class MultipleEmitters(Effect):
