@@ -299,11 +299,11 @@ class BrightnessHeterogeneity(Effect):
 def absorption_of_dipoles(spread: float, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Relative absorption (n,) of dipoles in random directions, of mean 1 and sd `spread`.
 
-    A fixed dipole absorbs with the square of its component along the field. In unpolarised or circularly polarised
-    light that is sin² of its angle to the optical axis (sd 1/√5 of the mean), in linearly polarised light cos² of its
-    angle to the field (sd 2/√5). A smaller spread is one of molecules that tumble for a part of the time, one in between
-    of light that is polarised in part; there is none beyond (means of powers of direction cosines; Fourkas, Opt. Lett.
-    26, 211, 2001).
+    A fixed dipole absorbs with the square of its component along the field: in unpolarised or circularly polarised
+    light sin² of its angle to the optical axis (sd 1/√5 of the mean), in linearly polarised light cos² of its angle to
+    the field (sd 2/√5). A smaller spread is one of molecules that tumble for a part of the time, one in between of light
+    that is polarised in part; there is none beyond (means of powers of direction cosines; Fourkas, Opt. Lett. 26, 211,
+    2001).
     """
     fixed = min(spread * np.sqrt(5), 1.0)
     polarised = np.sqrt(np.clip((spread**2 - 1 / 5) / (3 / 5), 0.0, 1.0))
