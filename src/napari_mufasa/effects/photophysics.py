@@ -301,8 +301,8 @@ def absorption_of_dipoles(spread: float, n: int, rng: np.random.Generator) -> ND
 
     A fixed dipole absorbs with the square of its component along the field: in unpolarised or circularly polarised
     light sin² of its angle to the optical axis (sd 1/√5 of the mean), in linearly polarised light cos² of its angle to
-    the field (sd 2/√5). A smaller spread is one of molecules that tumble for a part of the time, one in between of light
-    that is polarised in part; there is none beyond (means of powers of direction cosines; Fourkas, Opt. Lett. 26, 211,
+    the field (sd 2/√5). A smaller spread is one of molecules that tumble for a part of the time, one in between is of
+    partly polarised light; there is none beyond (means of powers of direction cosines: Fourkas, Opt. Lett. 26, 211,
     2001).
     """
     fixed = min(spread * np.sqrt(5), 1.0)
