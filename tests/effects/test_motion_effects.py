@@ -62,12 +62,12 @@ def test_focus_that_wanders_widens_by_its_strength_at_most():
 def test_stage_and_focus_follow_what_is_seen_of_them():
     path = ((0.0, 0.0), (0.3, -0.2), (0.6, -0.8))
     shift = scene_of(
-        plain(n_frames=301).with_effects(effect("stage_drift", distance_px=3.0, form="wandering", path=path))
+        plain(n_frames=303).with_effects(effect("stage_drift", distance_px=3.0, form="wandering", path=path))
     ).shift_px
-    np.testing.assert_allclose(shift[[50, 150, 250]], 3 * np.array(path), atol=1e-12)
+    np.testing.assert_allclose(shift[[50, 151, 252]], 3 * np.array(path), atol=1e-12)
     added = effect("focus_drift", widening=0.5, form="wandering", course=(0.0, -0.4, 1.0))
-    widths = scene_of(plain(n_frames=301).with_effects(added)).sigma_px[:, 0]
-    np.testing.assert_allclose(widths[[50, 150, 250]] / widths[0], [1.0, 0.8, 1.5], atol=1e-12)
+    widths = scene_of(plain(n_frames=303).with_effects(added)).sigma_px[:, 0]
+    np.testing.assert_allclose(widths[[50, 151, 252]] / widths[0], [1.0, 0.8, 1.5], atol=1e-12)
 
 
 def walk(form, diffusion, n_frames=200, n=400, seed=1):

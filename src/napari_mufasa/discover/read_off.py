@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pywt
 from numpy.typing import NDArray
-from scipy import ndimage, signal
+from scipy import fft, ndimage, signal
 
 from napari_mufasa.discover.rules import OFF
 from napari_mufasa.effects.courses import stepwise
@@ -102,29 +102,38 @@ def _from_zero(values: Array) -> dict[str, Any]:
 
 
 def light_course(observation: Observation) -> dict[str, Any]:
-    """`course` of the background, if it changes slowly: what flickers is no drift. A walk is told as finely as its
-    steps stand out of the noise of a frame."""
-    n = min(VALUES, len(observation.course) // FEWEST)
+    """`course` of the background, if it changes slowly: what flickers is no drift. A walk whose steps stand out of the
+    noise of a frame is told for each frame."""
+    light = observation.course
+    n = min(VALUES, len(light) // FEWEST)
     if n < FEWEST:
         return {"course": ()}
-    frames = len(observation.course) // n
-    readings = observation.course[: frames * n].reshape(n, frames).T
+    frames = len(light) // n
+    readings = light[: frames * n].reshape(n, frames).T
     mean = readings.mean(axis=0)
-    slow = np.mean(np.diff(mean) ** 2) < SLOW * mean.var()
-    found = course_of(readings) if slow else {"course": ()}
-    length = walk_block(observation.course)
-    if not found["course"] or length >= frames:
+    found = course_of(readings) if np.mean(np.diff(mean) ** 2) < SLOW * mean.var() else {"course": ()}
+    if not found["course"]:
         return found
-    cut = observation.course[: len(observation.course) // length * length]
-    return _from_zero(cut.reshape(-1, length).mean(axis=1))
+    step, noise = walk_in_noise(light)
+    if step > 0 and 6 * noise < frames**2 * step:  # the mean of so many frames walks away by more than its noise
+        return _from_zero(walk_alone(light, step, noise))
+    return _from_zero(np.array([part.mean() for part in np.array_split(light, n)]))
 
 
-def walk_block(course: Array) -> int:
-    """Frames whose mean is nearest to a walk seen in white noise: their noise is then as large as what it walks away
-    meanwhile. (Steps and noise from differences over one frame and two.)"""
+def walk_in_noise(course: Array) -> tuple[float, float]:
+    """Variance of a walk's steps, and of the white noise it is seen in, from differences over one frame and two."""
     one, two = (float(np.mean((course[by:] - course[:-by]) ** 2)) for by in (1, 2))
-    step, noise = two - one, one - two / 2
-    return len(course) if step <= 0 else max(1, round(np.sqrt(6 * max(noise, 0.0) / step)))
+    return two - one, max(one - two / 2, 0.0)
+
+
+def walk_alone(course: Array, step: float, noise: float) -> Array:
+    """A course seen in noise with the spectrum of the walk in it: the noise that simulations add makes it what was
+    measured. (In cosines, in which a walk between ends that reflect has independent coefficients; the best guess at the
+    path would be smoother than a walk.)"""
+    cosines = fft.dct(course, norm="ortho")
+    walks = 4 * np.sin(np.pi * np.arange(len(course)) / (2 * len(course))) ** 2
+    alone: Array = fft.idct(cosines / np.sqrt(1 + walks * noise / step), norm="ortho")
+    return alone
 
 
 def light_step(observation: Observation) -> dict[str, float]:

@@ -180,13 +180,18 @@ class Stand:
         spread = self.state.spread
         return {kind for kind in self.added if _shared(lead.shift, self.moved_by(kind), spread) > ALIKE}
 
-    def rivals_of(self, kind: str, share: float) -> list[Case]:
-        """What promises more than a share of what an added effect is worth, in its place; best first."""
+    def rivals_of(self, kind: str) -> list[Case]:
+        """What promises much of what an added effect is worth, in its place, and of what is known to look like it, a
+        part of that; best first."""
         worth = self.worths[kind]
         laws = {k: rays for k, rays in self.library.rays.items() if not effect_class(k).describes_only}
         leads = self.without(kind).screen(self.x, laws).values()
-        much = [forms for forms in leads if forms[0].gain > share * max(worth.evidence, self.needed)]
-        return sorted(much, key=lambda forms: -forms[0].gain)
+        least = max(worth.evidence, self.needed)
+
+        def is_much(lead: Lead) -> bool:
+            return lead.gain > (FORM_WORTH if are_rivals(kind, lead.ray.effect.kind) else RIVAL) * least
+
+        return sorted((forms for forms in leads if is_much(forms[0])), key=lambda forms: -forms[0].gain)
 
     def companions_of(self, kind: str, beside: State) -> list[Case]:
         """What could do a part of what an added effect does, as its leads are beside a state with another form of that;
@@ -209,7 +214,7 @@ class Stand:
             effect = next(e for e in self.state.model.effects if e.kind == kind)
             ray = Ray(effect, self.moved_by(kind), effect.none_at(self.state.model))
             itself = Lead(self.worths[kind].evidence, ray, 1.0)
-            rivals = self.rivals_of(kind, RIVAL) if self.far_off else []
+            rivals = self.rivals_of(kind) if self.far_off else []
             alike = [case for case in rivals if self._vies(case[0], itself)]
             found.append([[itself], *alike[:RIVALS]])
         return found
@@ -247,6 +252,11 @@ class Stand:
     def uncertainties(self) -> dict[str, dict[str, float]]:
         """Standard deviations of the free parameters of each added effect, by simulations."""
         return {kind: {} for kind in self.added} | parameters_sd(self.library, self.birge)
+
+
+def are_rivals(kind: str, other: str) -> bool:
+    """Are two effects known to look alike?"""
+    return kind in effect_class(other).rivals or other in effect_class(kind).rivals
 
 
 def _shared(moves: Array, moved: Array, spread: Array) -> float:

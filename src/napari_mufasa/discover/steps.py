@@ -18,15 +18,14 @@ from napari_mufasa.discover.rules import (
     NEAR,
     NOT_RISEN,
     REMOVALS,
-    RIVAL,
     RIVALS,
     START,
 )
-from napari_mufasa.discover.stand import Case, Stand, Worth
+from napari_mufasa.discover.stand import Case, Stand, Worth, are_rivals
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import State
-from napari_mufasa.effects import Effect, effect_class
+from napari_mufasa.effects import Effect
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
@@ -155,7 +154,7 @@ class Steps(Standing):
             stand = self.stand
             if not self.affords(1):
                 return False
-            tries = self._begun_without(kind, stand.rivals_of(kind, RIVAL)[:RIVALS] if waiting is None else ())
+            tries = self._begun_without(kind, stand.rivals_of(kind)[:RIVALS] if waiting is None else ())
             self._note_rivals(kind, tries)
             if not stand.content and (state := self._in_other_forms(kind)) is not None:
                 formed[kind] = state
@@ -323,11 +322,6 @@ def _kind(case: Case) -> str:
 
 def _kinds(state: State) -> list[str]:
     return [effect.kind for effect in state.model.effects]
-
-
-def are_rivals(kind: str, other: str) -> bool:
-    """Are two effects known to look alike?"""
-    return kind in effect_class(other).rivals or other in effect_class(kind).rivals
 
 
 def _other_forms(model: Model, kind: str) -> list[Effect]:

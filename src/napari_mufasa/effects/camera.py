@@ -273,7 +273,7 @@ class BaselineDrift(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         drift_adu = drifted(
-            self.drift_adu, self.form, scene.progress, rng, self.step_at, self.step_frames, self.settling_time,
+            self.drift_adu, self.form, scene, rng, self.step_at, self.step_frames, self.settling_time,
             self.course,
         )  # fmt: skip
         offset_e = (drift_adu * scene.setup.camera.electrons_per_adu).astype(np.float32)

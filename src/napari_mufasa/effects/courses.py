@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,20 +10,22 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from napari_mufasa.model.effect import parameter
+from napari_mufasa.simulate.scene import Scene
 
 SETTLING = 0.25  # of the movie
 
 
 def course(
-    form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float = 0.5, step_frames: float = 0.0,
+    form: str, scene: Scene, rng: np.random.Generator, step_at: float = 0.5, step_frames: float = 0.0,
     settling_time: float = SETTLING, seen: tuple[float, ...] = (),
 ) -> NDArray[np.float64]:  # fmt: skip
-    """A change over the movie from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering. Before the
-    movie (progress below 0: dark frames) a law goes on backwards.
+    """A change over the movie (frame,) from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering.
+    Before the movie (progress below 0: dark frames) a law goes on backwards.
 
     What saturates settles exponentially, within `settling_time` of the movie by all but 1/e. What wanders follows
     `seen`, values at equal times, where they are given; else it is a random walk.
     """
+    progress = scene.progress
     if form == "linear":
         return progress
     if form == "saturating":
@@ -33,7 +36,7 @@ def course(
         last = (len(progress) - 1) / max(float(np.ptp(progress)), 1e-12)  # frame of progress 1
         path = stepwise(np.round(progress * last, 6), step_at * last, step_frames)
     elif seen:
-        path = np.interp(progress, (np.arange(len(seen)) + 0.5) / len(seen), seen)
+        path = told(seen, scene.elapsed)
     else:
         walk = np.cumsum(rng.standard_normal(len(progress)))
         walk -= walk[0]
@@ -42,12 +45,19 @@ def course(
     return path
 
 
+def told(values: Sequence[float], elapsed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means over equal times, on lines from one's middle to the next: as many as frames are those of the frames."""
+    middles = (np.arange(len(values)) + 0.5) / len(values)
+    path: NDArray[np.float64] = np.interp(elapsed, middles, values)
+    return path
+
+
 def drifted(
-    size: float, form: str, progress: NDArray[np.float64], rng: np.random.Generator, step_at: float, step_frames: float,
+    size: float, form: str, scene: Scene, rng: np.random.Generator, step_at: float, step_frames: float,
     settling_time: float, seen: tuple[float, ...],
 ) -> NDArray[np.float64]:  # fmt: skip
     """`size` times the course of what drifts; of a course that was seen, `size` is where it is farthest from 0."""
-    path = course(form, progress, rng, step_at, step_frames, settling_time, seen)
+    path = course(form, scene, rng, step_at, step_frames, settling_time, seen)
     if form == "wandering" and seen:
         path = path * np.sign(max(seen, key=abs))
     return path * size

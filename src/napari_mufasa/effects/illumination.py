@@ -106,7 +106,7 @@ class LaserDrift(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         change = drifted(
-            self.change, self.form, scene.progress, rng, self.step_at, self.step_frames, self.settling_time, self.course
+            self.change, self.form, scene, rng, self.step_at, self.step_frames, self.settling_time, self.course
         )
         scene.light = np.maximum(scene.light * (1 + change), 0.0)
 

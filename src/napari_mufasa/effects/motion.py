@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from napari_mufasa.effects.courses import course, seen_path, settling, step_time
+from napari_mufasa.effects.courses import course, seen_path, settling, step_time, told
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.simulate.scene import Scene
 
@@ -45,14 +45,13 @@ class StageDrift(Effect):
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         angle = np.deg2rad(self.direction_deg)
         if self.form == "wandering" and self.path:
-            at = (np.arange(len(self.path)) + 0.5) / len(self.path)
-            path = np.stack([np.interp(scene.progress, at, values) for values in zip(*self.path, strict=True)], axis=1)
+            path = np.stack([told(values, scene.elapsed) for values in zip(*self.path, strict=True)], axis=1)
         elif self.form == "wandering":
             steps = rng.standard_normal((scene.n_frames, 2))
             path = np.cumsum(steps, axis=0) - steps[0]
             path *= 1 / max(float(np.hypot(*path.T).max()), 1e-12)
         else:
-            along = course(self.form, scene.progress, rng, self.step_at, settling_time=self.settling_time)
+            along = course(self.form, scene, rng, self.step_at, settling_time=self.settling_time)
             path = along[:, None] * np.array([np.sin(angle), np.cos(angle)])
         scene.shift_px = scene.shift_px + self.distance_px * path
 
@@ -82,7 +81,7 @@ class FocusDrift(Effect):
     form: Literal["linear", "accelerating", "step", "wandering"] = "linear"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        path = course(self.form, scene.progress, rng, seen=self.course)
+        path = course(self.form, scene, rng, seen=self.course)
         # Out of focus is wider on either side of it.
         growth = np.maximum(1 + self.widening * (path if self.course else np.abs(path)), 0.2)
         scene.sigma_px = scene.sigma_px * growth[:, None]

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from napari_mufasa.effects.courses import course, seen_path
+from napari_mufasa.effects.courses import course, seen_path, told
 from napari_mufasa.effects.fields import (
     bright_side,
     centre_along,
@@ -126,7 +126,7 @@ class BackgroundDecay(Effect):
             left = np.exp(-scene.progress / self.time_constant_movies)
         else:
             seen = self.course if self.form == "as_seen" else ()
-            gone = np.abs(course("wandering" if seen else "linear", scene.progress, rng, seen=seen))
+            gone = np.abs(course("wandering" if seen else "linear", scene, rng, seen=seen))
             left = np.maximum(1 - gone, 0.0)
         scene.background = scene.background * (1 - self.fraction + self.fraction * left)
 
@@ -177,8 +177,7 @@ class BackgroundAsMeasured(Effect):
         if self.course:
 
             def path(elapsed: Array) -> Array:
-                seen = np.interp(elapsed, (np.arange(len(self.course)) + 0.5) / len(self.course), self.course)
-                return np.maximum(1 + self.share * (seen - 1), 0.0)
+                return np.maximum(1 + self.share * (told(self.course, elapsed) - 1), 0.0)
 
             usual = float(scene.over_time(path).mean())
             scene.background = scene.background * path(scene.elapsed) / max(usual, 1e-12)

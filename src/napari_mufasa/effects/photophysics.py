@@ -305,11 +305,12 @@ def absorption_of_dipoles(spread: float, n: int, rng: np.random.Generator) -> ND
     partly polarised light; there is none beyond (means of powers of direction cosines: Fourkas, Opt. Lett. 26, 211,
     2001).
     """
-    fixed = min(spread * np.sqrt(5), 1.0)
-    polarised = np.sqrt(np.clip((spread**2 - 1 / 5) / (3 / 5), 0.0, 1.0))
-    along = rng.uniform(-1, 1, n)
+    fixed = min(spread * 5**0.5, 1.0)
+    polarised = min(max(spread**2 - 1 / 5, 0.0) / (3 / 5), 1.0) ** 0.5
+    sin2 = 1 - np.square(rng.uniform(-1, 1, n))
     azimuth = rng.uniform(0, 2 * np.pi, n)
-    return 1 - fixed + fixed * 1.5 * (1 - along**2) * (1 + polarised * np.cos(2 * azimuth))
+    absorbed: NDArray[np.float64] = 1.5 * sin2 * (1 + polarised * np.cos(2 * azimuth))
+    return 1 - fixed + fixed * absorbed
 
 
 class MultipleEmitters(Effect):
