@@ -34,6 +34,7 @@ RELIEF = (
 PATH_VALUES, PRECISE_PX = 30, 0.03  # most values of a path, and how precise each should be
 FIFTHS = 5
 FINER, NEARBY, FEWEST_CYCLES = 8, 20, 4  # of a spectrum: grid over that of the movie's length, width of what is nearby
+HARMONICS = 15  # of a swing of any shape, at most
 PEAK = 40.0  # sum of two spectra over what is usual: of 4000 flickers or drifts at most 4 reach it
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variate
 
@@ -102,9 +103,9 @@ def _from_zero(values: Array) -> dict[str, Any]:
 
 
 def light_course(observation: Observation) -> dict[str, Any]:
-    """`course` of the background, if it changes slowly: what flickers is no drift. A walk whose steps stand out of the
-    noise of a frame is told for each frame."""
-    light = observation.course
+    """`course` of the background, if it changes slowly: what swings or flickers is no drift. A walk whose steps stand
+    out of the noise of a frame is told for each frame."""
+    light = without_swing(observation)
     n = min(VALUES, len(light) // FEWEST)
     if n < FEWEST:
         return {"course": ()}
@@ -141,7 +142,7 @@ def light_step(observation: Observation) -> dict[str, float]:
 
     The split of the movie whose two means differ most beyond noise, then least squares around it.
     """
-    light = observation.course
+    light = without_swing(observation)
     n = len(light)
     before = np.arange(1, n)
     total = np.cumsum(light)[:-1]
@@ -180,6 +181,26 @@ def light_period(observation: Observation) -> dict[str, float]:
     power[frequency < FEWEST_CYCLES / n] = 0.0
     peak = int(np.argmax(power))
     return {"period_frames": float(1 / frequency[peak])} if power[peak] > PEAK and frequency[peak] < 0.5 else {}
+
+
+def without_swing(observation: Observation) -> Array:
+    """The course of the background without a swing that background and spots have in common, of any shape (a straight
+    line and harmonics by least squares, at the best frequency about that of the highest peak)."""
+    light = observation.course
+    period = light_period(observation).get("period_frames")
+    if period is None:
+        return light
+    n, harmonics = len(light), [k for k in range(1, HARMONICS + 1) if 2 * k < period]
+    best, least = light, np.inf
+    for frequency in 1 / period + np.linspace(-1, 1, 2 * FINER + 1) / (FINER * n):
+        turns = 2 * np.pi * frequency * np.arange(n)
+        waves = np.column_stack([wave(k * turns) for k in harmonics for wave in (np.sin, np.cos)])
+        design = np.column_stack([np.ones(n), np.arange(n), waves])
+        found = np.linalg.lstsq(design, light, rcond=None)[0]
+        left = float(np.square(light - design @ found).sum())
+        if left < least:
+            best, least = light - waves @ found[2:], left
+    return best
 
 
 def bright_side_and_relief(observation: Observation) -> dict[str, Any]:
