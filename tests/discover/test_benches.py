@@ -78,6 +78,29 @@ def test_a_drift_that_dark_frames_do_not_show_is_not_looked_for_there():
     assert "in_dark" not in MovieBench(prepare(movie, model, None), 1).read_off("baseline_drift")
 
 
+def test_of_two_that_drift_each_is_what_the_other_leaves():
+    """A walk of the baseline beside light that fades: read off the movie alone it would be both; beside a model whose
+    light fades, it is the walk (up to 1500 ADU; a frame's mean has a noise of 50 ADU, that of three simulations 29)."""
+    walk = np.cumsum(np.random.default_rng(2).standard_normal(300))
+    walk = tuple((walk - walk[0]) / np.abs(walk - walk[0]).max())
+    fading = effect_class("laser_drift")(change=-0.5, form="saturating", settling_time=0.3)
+    wandering = effect_class("baseline_drift")(drift_adu=1500.0, form="wandering", course=walk)
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 300, "acquisition.shape_px": (64, 64), "sample.n_molecules": 20}
+    )
+    bench = MovieBench(prepare(nm.simulate(model.with_effects(fading, wandering), seed=3).movie, model, None), 1)
+
+    def alike(*beside):
+        course = bench.read_off("baseline_drift", bench.start.with_effects(*beside))["course"]
+        return abs(np.corrcoef(course, walk)[0, 1])
+
+    assert alike(fading) > 0.98 > 0.5 > alike()
+    assert alike(wandering) == alike()  # what it does itself is not taken off
+    before = bench.done
+    bench.read_off("stage_drift", bench.start.with_effects(fading))
+    assert bench.done == before  # nothing is simulated for what does not drift with the light
+
+
 class GapBench(Bench):
     """Noise, of which some numbers are not to be had: "o3" not in the measurement, "o5" not in every simulation of the
     base model, "o7" not where there are hot pixels."""

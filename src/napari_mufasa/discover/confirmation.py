@@ -173,11 +173,10 @@ def _carried(
     """The held-out error of a completed model in a movie, and its floor: effects as they are, but for what the movie
     shows of them directly; brightness, background, molecules and the like fitted."""
     bench = MovieBench(prepare(movie, completed, dark), seed, progress, cancel, client)
-    effects = tuple(
-        changed(effect, bench.read_off(effect.kind)) if effect.kind in kinds else effect
-        for effect in bench.start.effects
-    )
-    start = bench.start.model_copy(update={"effects": effects})
+    start = bench.start.model_copy(update={"effects": tuple(e for e in bench.start.effects if e.kind not in kinds)})
+    for effect in bench.start.effects:  # each beside those before it
+        if effect.kind in kinds:
+            start = start.with_effects(changed(effect, bench.read_off(effect.kind, start)))
     bench.plan(bench.matching_simulations + library.expected_simulations([], len(bench.free_values(start)), start))
     near = library.build(bench, bench.matched(start), [])
     return near.base.held_out_error(bench.x), near.base.floor

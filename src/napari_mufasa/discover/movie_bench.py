@@ -16,7 +16,15 @@ from napari_mufasa.discover import curves, nuisance
 from napari_mufasa.discover.bench import Bench, Job, as_table
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.read_off import background_beyond, in_scale_of, read_off, stands_still, told_for
+from napari_mufasa.discover.read_off import (
+    DRIFTS,
+    background_beyond,
+    drift_beyond,
+    in_scale_of,
+    read_off,
+    stands_still,
+    told_for,
+)
 from napari_mufasa.discover.result import Curve
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.extent import Extent
@@ -72,6 +80,7 @@ class MovieBench(Bench[Observation]):
     ) -> None:
         self.measurement = measurement
         self._beyond: dict[str, dict[str, dict[str, Any]]] = {}
+        self._drifting: dict[str, Observation] = {}
         self._widths: dict[str, tuple[float, ...]] = {}
         dark_frames = 0 if measurement.dark is None else len(measurement.dark)
         self._simulated = SimulatedMovies(measurement.model, dark_frames)
@@ -118,9 +127,10 @@ class MovieBench(Bench[Observation]):
         if kind == "background_as_measured":
             found = self._background_beyond(beside or self.start)[part]
         else:
-            found = read_off(kind, self.measured.only(part))
+            seen = self._beside_drifts(kind, beside)
+            found = read_off(kind, seen.only(part))
             if part != "all":
-                found = in_scale_of(read_off(kind, self.measured), found)
+                found = in_scale_of(read_off(kind, seen), found)
             if kind == "baseline_drift" and self._dark_is_apart:
                 found |= {"in_dark": 0.0}
         extent = self.start.effects_refer_to
@@ -149,14 +159,28 @@ class MovieBench(Bench[Observation]):
         return self._widths[part]
 
     def _background_beyond(self, model: Model) -> dict[str, dict[str, Any]]:
-        """Of each part, what it shows beyond a few simulations of a model: these are not kept."""
+        """Of each part, what it shows beyond a model."""
         key = model.model_dump_json()
         if key not in self._beyond:
-            shown = self.observations([(model, BEYOND_SEED + k) for k in range(BEYOND)])
+            shown = self._shown(model)
             self._beyond[key] = {
                 part: background_beyond(self.measured.only(part), [one.only(part) for one in shown]) for part in PARTS
             }
         return self._beyond[key]
+
+    def _beside_drifts(self, kind: str, model: Model | None) -> Observation:
+        """The measurement as an effect is read off it: of two that drift, each is what the other leaves."""
+        drifting = {effect.kind for effect in model.effects} & {*DRIFTS, "background_as_measured"} if model else set()
+        if model is None or kind not in DRIFTS or not drifting - {kind}:
+            return self.measured
+        key = model.model_dump_json()
+        if key not in self._drifting:
+            self._drifting[key] = drift_beyond(self.measured, self._shown(model))
+        return self._drifting[key]
+
+    def _shown(self, model: Model) -> list[Observation]:
+        """A few simulations of a model, which are not kept."""
+        return self.observations([(model, BEYOND_SEED + k) for k in range(BEYOND)])
 
     def curves(self, before: Sequence[Observation], after: Sequence[Observation]) -> list[Curve]:
         return curves.draw(self.measured, before, after, self.start.acquisition.interval_s)

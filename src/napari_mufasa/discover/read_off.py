@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -240,6 +241,12 @@ def smoothed(tiles: Array) -> Array:
     return smooth
 
 
+def drift_beyond(observation: Observation, model: Sequence[Observation]) -> Observation:
+    """The observation whose background has no more of a course than what simulations of a model do not show."""
+    expected = np.mean([one.courses for one in model], axis=0)
+    return replace(observation, courses=observation.courses - expected + expected.mean(axis=1, keepdims=True))
+
+
 def background_beyond(observation: Observation, model: Sequence[Observation]) -> dict[str, Any]:
     """`map`, `map_columns` and `course` of the background, relative to what simulations of a model show of it; ()
     where they show none."""
@@ -328,3 +335,4 @@ READERS: dict[str, Reader] = {
     "astigmatism": long_axis,
     "directed_motion": long_axis,
 }
+DRIFTS = frozenset(kind for kind, reader in READERS.items() if reader in (light_course, light_step_and_course))
