@@ -88,7 +88,11 @@ KNOWN: dict[str, dict[str, Law]] = {
         "exponential": Law("exponential", {"rate_per_s": "bleaching_rate_per_s"}),
         "two_populations": Law("two_populations", {"rate_per_s": _mean_rate_per_s}),
     },
-    "delayed_activation": {"exponential": Law("exponential", _DELAY), "two_step": Law("two_step", _DELAY)},
+    "delayed_activation": {
+        "exponential": Law("exponential", _DELAY),
+        "two_step": Law("two_step", _DELAY),
+        "uniform": Law("steady", _DELAY),
+    },
     "brightness_heterogeneity": {
         "log_normal": Law("lognormal", {"spread": "cv_in_this_movie"}),
         "two_levels": Law("two_levels", {"spread": "cv_in_this_movie"}),

@@ -142,6 +142,7 @@ def test_bleaching_adds_to_the_model_s_own():
     [
         ("exponential", lambda t: 1 - np.exp(-3 * t)),
         ("two_step", lambda t: 1 - np.exp(-6 * t) * (1 + 6 * t)),
+        ("steady", lambda t: stats.gamma.cdf(t, np.arange(1, 33), scale=1 / 49.5).mean()),  # all stages alike
     ],
 )
 @pytest.mark.parametrize("others", [(), ("two_populations",)])
@@ -155,6 +156,16 @@ def test_delayed_activation_first_seen(form, law, others):
     check_share(np.mean(first == 0), 0.3 + 0.7 * law(0.01 - 1.5e-4), 5000, slack=1e-3)
     for frame in (20, 60, 149):
         check_share(np.mean(first <= frame), 0.3 + 0.7 * law((frame + 1) * 0.01 - 1.5e-4), 5000, slack=1e-3)
+
+
+def test_molecules_that_are_activated_steadily_come_at_a_constant_rate():
+    """From a fifth to seven tenths of twice the mean time as many in each tenth, to 2 % (32 stages are not infinitely
+    many); those of exponential ones would become fewer by a factor of 2.7. 20 000 molecules."""
+    added = effect("delayed_activation", fraction=1.0, activation_rate_per_s=1.0, form="steady")
+    on = simulate_emission(plain(n_frames=180).with_effects(added), 20_000, seed=12) > 0
+    came = np.histogram(np.where(on.any(axis=1), on.argmax(axis=1), 10**6), bins=np.arange(40, 141, 20))[0]
+    constant = 20_000 * 0.2 / 2 * 33 / 32  # in 0.2 s, until 32/33 of twice the mean time
+    np.testing.assert_allclose(came, constant, rtol=0.02 + 4 / np.sqrt(constant))
 
 
 def test_activated_molecules_are_what_they_would_have_been():

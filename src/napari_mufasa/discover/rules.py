@@ -37,8 +37,9 @@ SHAPE = 0.015  # of the evidence of each other effect, so far as that moves the 
 # for what the others leave is also the error of their form
 FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less are taken out together
 CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an effect is worth so much, is worth it
-FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried; and a rival whose settings end
-# before it is at its best; of all that is explained: what is worth less may be the form of its rival
+FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried; and a rival that is known to look
+# alike, or whose settings end before it is at its best; of all that is explained: what is worth less may be its rival's
+# form
 NEARER = 0.97  # of the misfit: simulations of where a step downhill leads confirm it
 PROMISED = 2.0  # −2 log likelihood: a step downhill of which the slopes promise less is not worth its simulations
 LINEAR = 0.4  # log units or quarters of the range: as far about as a model is linear in a parameter

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -243,24 +243,46 @@ class DelayedActivation(Effect):
         log=True,
         description="rate at which they turn bright",
     )
-    form: Literal["exponential", "two_step"] = "exponential"
+    form: Literal["exponential", "two_step", "steady"] = "exponential"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         if self.fraction == 0:
             return
         chain = scene.chain
-        start = {state: p * (1 - self.fraction) for state, p in chain.start.items()}
-        inactive = last = chain.free_name("inactive")
-        new_states, steps, rate = [inactive], [], self.activation_rate_per_s
-        if self.form == "two_step":  # two steps of twice the rate: the same mean, few at the very start
-            rate *= 2
-            last = chain.free_name("halfway")
-            new_states.append(last)
-            steps.append(Transition(inactive, last, rate))
+        bright = ACTIVATED_AT_STAGE[self.form]
+        stages = [chain.free_name(f"inactive {i}") for i in range(len(bright))]
+        rate = self.activation_rate_per_s * mean_stages(bright)
+        steps = [
+            Transition(here, there, rate * (1 - share))
+            for here, there, share in zip(stages, stages[1:], bright, strict=False)
+        ]
         # Activated, a molecule is what it would have been at the start.
-        steps += [Transition(last, state, rate * p) for state, p in chain.start.items() if p > 0]
-        chain = replace(chain, states=(*chain.states, *new_states))
-        scene.chain = chain.with_transitions(*steps).starting(start | {inactive: self.fraction})
+        steps += [
+            Transition(stage, state, rate * share * p)
+            for stage, share in zip(stages, bright, strict=True)
+            for state, p in chain.start.items()
+            if share * p > 0
+        ]
+        start = {state: p * (1 - self.fraction) for state, p in chain.start.items()}
+        chain = replace(chain, states=(*chain.states, *stages))
+        scene.chain = chain.with_transitions(*steps).starting(start | {stages[0]: self.fraction})
+
+
+# Stages that an inactive molecule goes through, all at one rate, and how many of those that come to the end of each are
+# activated there. Two steps: few at the very start. Steady: as many at the end of each stage, until none is left, as
+# where the activating light is turned up while molecules become fewer.
+STAGES = 32
+ACTIVATED_AT_STAGE = {
+    "exponential": (1.0,),
+    "two_step": (0.0, 1.0),
+    "steady": tuple(1 / (STAGES - i) for i in range(STAGES)),
+}
+
+
+def mean_stages(activated: Sequence[float]) -> float:
+    """How many stages a molecule goes through until it is activated."""
+    still_inactive = np.cumprod([1.0, *(1 - share for share in activated[:-1])])
+    return float(still_inactive.sum())
 
 
 class BrightnessHeterogeneity(Effect):
