@@ -127,7 +127,7 @@ class MovieBench(Bench[Observation]):
         if kind == "background_as_measured":
             found = self._background_beyond(beside or self.start)[part]
         else:
-            seen = self._beside_drifts(kind, beside)
+            seen = self._beside_drifts(kind, beside or self.start)
             found = read_off(kind, seen.only(part))
             if part != "all":
                 found = in_scale_of(read_off(kind, seen), found)
@@ -168,10 +168,10 @@ class MovieBench(Bench[Observation]):
             }
         return self._beyond[key]
 
-    def _beside_drifts(self, kind: str, model: Model | None) -> Observation:
+    def _beside_drifts(self, kind: str, model: Model) -> Observation:
         """The measurement as an effect is read off it: of two that drift, each is what the other leaves."""
-        drifting = {effect.kind for effect in model.effects} & {*DRIFTS, "background_as_measured"} if model else set()
-        if model is None or kind not in DRIFTS or not drifting - {kind}:
+        others = {effect.kind for effect in model.effects if effect.kind != kind}
+        if kind not in DRIFTS or others.isdisjoint({*DRIFTS, "background_as_measured"}):
             return self.measured
         key = model.model_dump_json()
         if key not in self._drifting:
