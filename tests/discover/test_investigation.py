@@ -403,16 +403,19 @@ def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():
     assert not inquiry.begin_afresh() and inquiry.stands is stands
 
 
-@pytest.mark.parametrize(("far_off", "beside"), [(True, ["laser_drift"]), (False, [])])
-def test_far_off_what_is_begun_afresh_is_begun_beside_what_could_stand_in_its_place(monkeypatch, far_off, beside):
-    """A laser that fades lets the background fade, too."""
+@pytest.mark.parametrize(("far_off", "alike", "beside"), [(True, False, 1), (False, True, 1), (False, False, 0)])
+def test_what_is_begun_afresh_is_begun_beside_what_could_stand_in_its_place(monkeypatch, far_off, alike, beside):
+    """A laser that fades lets the background fade, too; near the floor it vies for its place if it is known to."""
     inquiry = in_fading_light("background_decay")
     inquiry.add("background_decay", "row_noise")
     stand = inquiry.stand
     monkeypatch.setattr(type(stand), "far_off", far_off)
+    if not alike:
+        monkeypatch.setattr(effect_class("background_decay"), "rivals", ())
+        monkeypatch.setattr(effect_class("laser_drift"), "rivals", ())
     groups = stand.as_cases()
     kinds = [[forms[0].ray.effect.kind for forms in group] for group in groups]
-    assert kinds == [["background_decay", *beside], ["row_noise"]]
+    assert kinds == [["background_decay", *["laser_drift"][:beside]], ["row_noise"]]
     effects = {effect.kind: effect for effect in stand.state.model.effects}
     for start in (group[0][0].start() for group in groups):
         now = effects[start.kind]

@@ -207,15 +207,18 @@ class Stand:
         return [leads[other] for other in alike]
 
     def as_cases(self) -> list[list[Case]]:
-        """The added effects as they are, what is worth most first; far off the floor, where one may stand in for
-        another, with each what promises about as much in its place and moves the same."""
+        """The added effects as they are, what is worth most first, with each what promises about as much in its place
+        and moves the same; near the floor, where few stand in for another, only if both are known to look alike."""
         found = []
         for kind in sorted(self.added, key=lambda kind: -self.worths[kind].evidence):
             effect = next(e for e in self.state.model.effects if e.kind == kind)
             ray = Ray(effect, self.moved_by(kind), effect.none_at(self.state.model))
             itself = Lead(self.worths[kind].evidence, ray, 1.0)
-            rivals = self.rivals_of(kind) if self.far_off else []
-            alike = [case for case in rivals if self._vies(case[0], itself)]
+            alike = [
+                case
+                for case in self.rivals_of(kind)
+                if self._vies(case[0], itself) and (self.far_off or are_rivals(kind, case[0].ray.effect.kind))
+            ]
             found.append([[itself], *alike[:RIVALS]])
         return found
 
