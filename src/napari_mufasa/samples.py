@@ -131,13 +131,16 @@ def hide(believed: Model, kinds: Iterable[str], rng: np.random.Generator, n_dark
     return Puzzle(believed, truth, movie, simulate_dark(truth, n_dark, seed=int(rng.integers(2**31))))
 
 
+# What is "as seen" is read off a measurement: there is none yet. The others came later, and seeds hide what they did.
+NOT_DRAWN = ("", "as_seen", "steady", "orientations")
+
+
 def draw_effect(believed: Model, kinds: Iterable[str], rng: np.random.Generator) -> Any:
     """An effect of ``kinds`` with a drawn form and values drawn within the range in which it is visible."""
     kind = str(rng.choice(list(kinds)))
     data: dict[str, Any] = {"kind": kind}
     data |= {name: float(rng.uniform(*bounds)) for name, bounds in VISIBLE[kind].items()}
-    # What is "as seen" is read off a measurement: there is none yet.
-    forms = [form for form in effect_class(kind).forms() if form not in ("", "as_seen")]
+    forms = [form for form in effect_class(kind).forms() if form not in NOT_DRAWN]
     if forms:
         data["form"] = str(rng.choice(forms))
     return believed.with_values({"effects": [data]}).effects[0]

@@ -107,7 +107,7 @@ def test_the_table_of_forms_names_what_generator_and_catalogue_have():
             assert law.form in known, (kind, law.form)
             assert set(law.means) <= set(effect.model_fields), (kind, law.means)
     unseen = [f for kind in generator.EFFECTS for f in generator.forms(kind) if forms.law(kind, f) is None]
-    assert len(unseen) == 16 and sum(len(generator.forms(kind)) for kind in generator.EFFECTS) == 81
+    assert len(unseen) == 14 and sum(len(generator.forms(kind)) for kind in generator.EFFECTS) == 81
 
 
 @pytest.mark.parametrize("kind", generator.EFFECTS)
