@@ -522,3 +522,17 @@ def test_what_does_not_matter_to_a_form_is_not_free():
     assert free == {
         "exponential": ["rate_per_s"], "two_populations": ["rate_per_s", "fast_fraction", "rate_ratio"]
     }  # fmt: skip
+
+
+def test_settings_show_all_that_was_measured_but_for_what_only_describes(monkeypatch):
+    """A law stands in the place of what is in the model, too; what only describes is read off beside it."""
+    bench, asked = ToyBench(), {}
+
+    def read_off(kind, beside=None, part="all"):
+        asked[kind] = beside
+        return {}
+
+    monkeypatch.setattr(bench, "read_off", read_off)
+    monkeypatch.setattr(ROWS, "describes_only", True)
+    near = build(bench, bench.start.with_effects(HOT()), KINDS[1:])
+    assert asked == {"row_noise": near.base.model, "column_offset": None}

@@ -332,7 +332,7 @@ def test_slow_light_has_a_course_and_flicker_has_none():
 @pytest.mark.parametrize(("noise", "values"), [(0.15, {300}), (0.7, {300}), (3.0, {60, 300})])
 def test_a_walk_is_told_for_each_frame_where_its_steps_stand_out_of_the_noise(noise, values):
     """Five frames of noise 2.04 have a mean as noisy as what a walk goes meanwhile; estimates of it are 40 % off. Of
-    walks 97 % are seen, in a noise of 3 79 %: with a chance of 0.3 % fewer than 10 of 20."""
+    walks 97 % are seen, in a noise of 3 79 %: with a chance of 0.1 % fewer than 10 of 20."""
     rng = np.random.default_rng(6)
     seen = []
     for _ in range(20):
@@ -348,7 +348,7 @@ def test_a_walk_is_told_for_each_frame_where_its_steps_stand_out_of_the_noise(no
 @pytest.mark.parametrize(("wave", "least"), [(np.sin, 32), (lambda turn: np.sign(np.sin(turn)), 15)])
 def test_a_swing_hides_no_walk_and_is_no_part_of_it(wave, least):
     """A swing of six steps of the walk, which alone is not slow. Of 300 walks 95 % are seen in a sine (97 % in still
-    light), 61 % in a square swing, whose edges stay; fewer than 32 or 15 of 40 each with a chance of 0.1 %."""
+    light), 61 % in a square swing, whose edges stay; fewer than 32 or 15 of 40 with a chance of 0.1 % at most."""
     rng = np.random.default_rng(10)
     found = []
     for _ in range(40):

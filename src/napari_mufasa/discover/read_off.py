@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, signal
 
 from napari_mufasa.discover.rules import OFF
-from napari_mufasa.effects.courses import stepwise
+from napari_mufasa.effects.courses import stepwise, told
 from napari_mufasa.model.extent import Extent
 from napari_mufasa.observe import Observation
 from napari_mufasa.observe.summary import mean_shape
@@ -81,7 +81,7 @@ def _resampled(values: Array, axis: int, bounds: tuple[float, float], cells: int
     n, (start, stop) = values.shape[axis], bounds
     cells = max(1, round(n * (stop - start))) if cells is None else cells
     at = start + (stop - start) * (np.arange(cells) + 0.5) / cells
-    found: Array = np.apply_along_axis(lambda row: np.interp(at, (np.arange(n) + 0.5) / n, row), axis, values)
+    found: Array = np.apply_along_axis(lambda row: told(row, at), axis, values)
     return found
 
 

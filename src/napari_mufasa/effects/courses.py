@@ -45,7 +45,7 @@ def course(
     return path
 
 
-def told(values: Sequence[float], elapsed: NDArray[np.float64]) -> NDArray[np.float64]:
+def told(values: Sequence[float] | NDArray[np.float64], elapsed: NDArray[np.float64]) -> NDArray[np.float64]:
     """Means over equal times, on lines from one's middle to the next: as many as frames are those of the frames."""
     middles = (np.arange(len(values)) + 0.5) / len(values)
     path: NDArray[np.float64] = np.interp(elapsed, middles, values)
