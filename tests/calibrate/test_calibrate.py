@@ -179,6 +179,17 @@ def test_a_missing_excess_noise_kernel_or_tail_is_rejected_and_the_right_law_is_
         assert calibrate(movie, dark, em_gain=300, **wrong).p_value < 1e-3, wrong
 
 
+def test_no_kernel_means_none_of_the_read_noise_either():
+    """In a dim movie nearly all noise is the read-out's: a law without a kernel fails by that (52 standard errors)."""
+    model = camera_with("CCD", read_noise_e=8.0, readout_kernel=(0.13,), read_noise_kernel=(0.13,))
+    model = model.with_values({"optics.background_photons_per_px": 4.5})
+    movie, dark = nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)
+    assert calibrate(movie, dark, camera_type="CCD").p_value > 1e-3
+    without = calibrate(movie, dark, camera_type="CCD", readout_kernel=())
+    assert without.p_value < 1e-6
+    assert without.camera.readout_kernel == without.camera.read_noise_kernel == ()
+
+
 def test_kernel_alternation_and_codes_go_into_the_camera():
     model = camera_with("CCD", readout_kernel=(0.15,), read_noise_kernel=(0.15,), baseline_alternation_adu=1.5)
     found = calibrate(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), camera_type="CCD")

@@ -77,7 +77,7 @@ def calibrate(
     em_gain, electrons_per_adu : photon transfer measures only their ratio; give one (default: gain 300 for
         an EMCCD) and the other follows
     excess_noise_factor : F² of the multiplication; None: 2 for an EMCCD, 1 else
-    readout_kernel, clock_induced_charge_e : taken so instead of measured; () and 0: none
+    readout_kernel, clock_induced_charge_e : taken so instead of measured; () and 0: none, () of the read noise, too
     baseline_adu, read_noise_adu : known values, instead of dark frames
 
     Raises
@@ -215,7 +215,7 @@ def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, 
         curve = transfer.curve(light.means.mean(axis=0) - level, light.variances.mean(axis=0) - read.value**2)
     readout = Readout(
         kernel=kernel,
-        noise_kernel=_noise_kernel(dark, of_light, dark_variance, slope.value),
+        noise_kernel=() if assumed.readout_kernel == () else _noise_kernel(dark, of_light, dark_variance, slope.value),
         shares=() if assumed.readout_kernel is not None else rows.shares_of(of_light, kernel_sd),
         row_correlations=light.rows.row,
         column_correlations=light.rows.column,
@@ -382,7 +382,8 @@ def _row_p_value(light: Light, of_light: Array, dark: Dark | None, dark_variance
     expected, variance = of_light, np.full(rows.LAGS, 2 * seen.sd**2)
     if dark is not None and dark.rows is not None:
         share = min(dark_variance / seen.variance, 1.0)
-        expected = of_light * (1 - share) + (dark.rows.row - dark.rows.column) * share
+        of_noise = np.zeros(rows.LAGS) if assumed.readout_kernel == () else dark.rows.row - dark.rows.column
+        expected = of_light * (1 - share) + of_noise * share
         variance += 2 * (share * dark.rows.sd) ** 2
     tested = np.ones(rows.LAGS, dtype=bool) if assumed.readout_kernel is not None else of_light == 0
     if not tested.any():

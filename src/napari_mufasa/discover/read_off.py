@@ -116,16 +116,26 @@ def light_course(observation: Observation) -> dict[str, Any]:
     found = course_of(readings) if np.mean(np.diff(mean) ** 2) < SLOW * mean.var() else {"course": ()}
     if not found["course"]:
         return found
-    step, noise = walk_in_noise(light)
-    if step > 0 and 6 * noise < frames**2 * step:  # the mean of so many frames walks away by more than its noise
-        return _from_zero(walk_alone(light, step, noise))
-    return _from_zero(np.array([part.mean() for part in np.array_split(light, n)]))
+    walk = walk_of(light, frames)
+    return _from_zero(np.array([part.mean() for part in np.array_split(light, n)]) if walk is None else walk)
 
 
-def walk_in_noise(course: Array) -> tuple[float, float]:
-    """Variance of a walk's steps, and of the white noise it is seen in, from differences over one frame and two."""
-    one, two = (float(np.mean((course[by:] - course[:-by]) ** 2)) for by in (1, 2))
-    return two - one, max(one - two / 2, 0.0)
+def walk_of(course: Array, frames: int) -> Array | None:
+    """A course for each frame where its steps are seen, and the mean of so many `frames` walks away by more than its
+    noise."""
+    far = max(2, frames // 2)
+    step, noise = walk_in_noise(course, far)
+    # Of white noise, differences over one frame and over more differ by less (three standard deviations).
+    chance = OFF * np.sqrt(8 / len(course)) * noise / (far - 1)
+    return walk_alone(course, step, noise) if step > max(chance, 6 * noise / frames**2) else None
+
+
+def walk_in_noise(course: Array, far: int = 2) -> tuple[float, float]:
+    """Variance of a walk's steps, and of the white noise it is seen in, from differences over one frame and over `far`:
+    2 where the steps are larger than the noise, more where they are smaller."""
+    one, more = (float(np.mean((course[by:] - course[:-by]) ** 2)) for by in (1, far))
+    step = (more - one) / (far - 1)
+    return step, max((one - step) / 2, 0.0)
 
 
 def walk_alone(course: Array, step: float, noise: float) -> Array:
@@ -295,12 +305,18 @@ def common_path(observation: Observation) -> dict[str, Any]:
 
 
 def width_course(observation: Observation) -> dict[str, Any]:
-    """The course is that of the spots' width, as fifths of the molecules show it."""
+    """The course is that of the spots' width, as fifths of the molecules show it; a walk whose steps stand out of the
+    noise of a frame is told for each frame."""
     spots = observation.spots
     keep = np.flatnonzero(spots.inside & spots.isolated)
     blocks = range(spots.shape.shape[1])
     if len(keep) < 2 * FIFTHS:
         return {"course": ()}
+    light = spots.light[keep].sum(axis=0)
+    light = np.maximum(light, max(0.25 * float(light.mean()), 1e-6))  # few lit: no jumps from noise
+    walk = walk_of(spots.frame_widening[keep].sum(axis=0) / light, light.size // len(blocks))
+    if walk is not None:
+        return _from_zero(walk)
     groups = [keep[i::FIFTHS] for i in range(FIFTHS)]
     return course_of(np.array([[mean_shape(spots, g, [b])[:2].mean() for b in blocks] for g in groups]))
 

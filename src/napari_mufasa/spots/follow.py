@@ -48,6 +48,7 @@ class Spots:
     shape: Array
     shape_weight: Array
     frame_shift: Array  # (frame, molecule, 2) light times displacement, photoelectrons px
+    frame_widening: Array  # (molecule, frame) light times change of width², mean of both axes, photoelectrons px²
 
     def of(self, these: NDArray[np.bool_]) -> Spots:
         """Some of the spots; the common path is that of all."""
@@ -114,7 +115,8 @@ def follow(
     width = float(np.sqrt(sigma_px**2 + 1 / 12))  # with a pixel's own
     weights = fit_weights(np.clip(at - corner, 0, size - 1), size, width)  # (molecule, block, 6, size, size)
     block_of = block_of_frame(n_frames, len(blocks))
-    values = amplitudes(movie, float(baseline_adu), corner, weights[:, :, :3].copy(), block_of) * scale
+    in_frames = np.concatenate([weights[:, :, :3], weights[:, :, 3:5].mean(axis=2, keepdims=True)], axis=2)
+    values = amplitudes(movie, float(baseline_adu), corner, in_frames, block_of) * scale
     patches = _patches((blocks - baseline_adu) * scale, corner, size)
     terms = np.einsum("mbkij,mbij->mbk", weights, patches)
     amplitude = terms[:, :, 0]
@@ -132,6 +134,7 @@ def follow(
         shape=np.where(bright[..., None], terms[:, :, 3:], 0.0),
         shape_weight=amplitude * bright,
         frame_shift=values[:, :, 1:3].transpose(1, 0, 2),
+        frame_widening=values[:, :, 3],
     )
 
 
@@ -140,6 +143,7 @@ def _nothing(path: Array, n_frames: int, n_blocks: int) -> Spots:
     return Spots(
         np.zeros((0, 2)), path, np.zeros((0, n_frames)), none, none, np.zeros((0, n_blocks, 2)),
         np.zeros((0, n_blocks)), np.zeros((0, n_blocks, 3)), np.zeros((0, n_blocks)), np.zeros((n_frames, 0, 2)),
+        np.zeros((0, n_frames)),
     )  # fmt: skip
 
 

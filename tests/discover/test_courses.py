@@ -1,0 +1,63 @@
+"""Courses read off a movie: walks and what is none."""
+
+import numpy as np
+import pytest
+
+import napari_mufasa as nm
+from napari_mufasa.discover.read_off import read_off, walk_in_noise, walk_of
+from napari_mufasa.effects import effect_class
+from napari_mufasa.observe import observe
+
+FRAMES, STEP, NOISE = 300, 0.003, 0.01  # variances; as those of the width of forty bright spots
+
+
+def walks(draws, step=STEP, noise=NOISE, seed=0):
+    rng = np.random.default_rng(seed)
+    paths = np.cumsum(rng.normal(0, np.sqrt(step), (draws, FRAMES)), axis=1)
+    return paths, paths + rng.normal(0, np.sqrt(noise), paths.shape)
+
+
+@pytest.mark.parametrize("far", [2, 15])
+def test_steps_and_noise_of_a_walk_are_told_without_bias(far):
+    """The mean over 400 draws, within four of its standard errors (by chance once in 16 000)."""
+    _, seen = walks(400)
+    found = np.array([walk_in_noise(course, far) for course in seen])
+    error = found.std(axis=0) / np.sqrt(len(found))
+    assert np.all(np.abs(found.mean(axis=0) - (STEP, NOISE)) < 4 * error)
+
+
+def test_differences_over_more_frames_tell_steps_smaller_than_the_noise():
+    _, seen = walks(200)
+    near, far = (np.std([walk_in_noise(course, by)[0] for course in seen]) for by in (2, 15))
+    assert far < near / 2
+
+
+def test_a_walk_is_told_with_its_spectrum_and_neither_noise_nor_a_line_is_a_walk():
+    """White noise passes three standard deviations in 0.13 % (of 1000 draws more than 8 in one trial of 10 000)."""
+    paths, seen = walks(50)
+    told = [walk_of(course, 30) for course in seen]
+    assert all(course is not None for course in told)
+    likeness = [np.corrcoef(path, course)[0, 1] for path, course in zip(paths, told, strict=True)]
+    assert np.median(likeness) > 0.97
+    roughness = np.mean([np.mean(np.diff(course[::10]) ** 2) for course in told])
+    assert roughness == pytest.approx(10 * STEP, rel=0.15)  # of a walk in ten frames; sd of the mean of 50 draws 5 %
+    _, noises = walks(1000, step=0.0, seed=1)
+    assert sum(walk_of(course, 30) is not None for course in noises) <= 8
+    lines = noises[:200] + np.linspace(0, 0.6, FRAMES)
+    assert sum(walk_of(course, 30) is not None for course in lines) <= 20
+
+
+def test_a_focus_that_walks_is_told_for_each_frame():
+    """Of 40 bright spots; in ten blocks the course would have lost what happens within thirty frames."""
+    walk = walks(1, step=1.0, seed=5)[0][0]
+    walk = tuple((walk - walk[0]) / np.abs(walk - walk[0]).max())
+    model = nm.preset("FF").with_values({
+        "acquisition.n_frames": FRAMES, "acquisition.shape_px": (96, 96), "sample.n_molecules": 40,
+        "fluorophore.cycles_before_bleaching": None, "optics.brightness_correction": 3.0,
+    })  # fmt: skip
+    drifting = model.with_effects(effect_class("focus_drift")(widening=0.4, form="wandering", course=walk))
+    course = read_off("focus_drift", observe(nm.simulate(drifting, seed=2).movie, model))["course"]
+    assert len(course) == FRAMES
+    assert abs(np.corrcoef(course, walk)[0, 1]) > 0.9
+    still = read_off("focus_drift", observe(nm.simulate(model, seed=2).movie, model))["course"]
+    assert still == ()
