@@ -194,7 +194,9 @@ def _start(
 def _covariance(
     problem: Problem, names: tuple[str, ...], point: Array, factors: Array, bounds: list[tuple[float, float]]
 ) -> Array:
-    """H⁻¹ (Σ g gᵀ) H⁻¹ with each molecule's own gradient g: what resampling the molecules would give."""
+    """H⁻¹ (Σ g gᵀ) H⁻¹ with each molecule's own gradient g: what resampling the molecules would give. The level is that
+    times the molecules' mean factor, which resampling changes, too: what a molecule's factor has taken over is missing
+    from its gradient."""
 
     def each(at: Array) -> Array:
         return problem.log_likelihoods(*unpacked(names, at), factors)
@@ -221,9 +223,9 @@ def _covariance(
             curvature[i, j] = curvature[j, i] = -(both - one + 2 * middle) / 2
     eigen, vectors = np.linalg.eigh(curvature)
     inverse = vectors @ np.diag(1 / np.maximum(eigen, 1e-9 * max(eigen.max(), 1e-30))) @ vectors.T
-    n = len(problem.traces)
-    inner = inverse @ (gradients @ gradients.T) @ inverse * n / max(n - 1, 1)
-    found = np.zeros((len(names), len(names)))
-    found[np.ix_(free, free)] = inner * np.outer(steps[free], steps[free])
+    influence = np.zeros((len(names), len(problem.traces)))
+    influence[free] = steps[free, None] * (inverse @ gradients)
+    influence[names.index("level")] += (factors / factors.mean() - 1) / factors.size
+    found: Array = influence @ influence.T * factors.size / max(factors.size - 1, 1)
     found[~free, ~free] = 25.0
     return found
