@@ -88,6 +88,10 @@ def test_brightness_that_differs_is_no_noise():
     found = nm.infer_photophysics(traces, model, all_molecules=True)
     # The sd of 120 molecules is known to 6.5 %; four of them, and what short lives blur.
     assert found.values["brightness_spread"].value == pytest.approx(0.25, rel=0.35)
+    # The level is the mean of 120 molecules that differ so: it is no better known than that mean (their number and the
+    # spread, drawn and shrunk, leave a third of doubt).
+    level = found.values["level_e"]
+    assert level.sd / level.value == pytest.approx(0.25 / np.sqrt(120), rel=1 / 3)
     cycles = found.values["bleaching_rate_per_s"]
     assert abs(cycles.value - 1 / nm.predict(model).bleaching_time_s) < 4 * cycles.sd
 

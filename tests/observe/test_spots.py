@@ -157,7 +157,7 @@ def test_a_width_that_changes_from_frame_to_frame_is_told_in_each():
     sigma = np.sqrt(SIGMA**2 + 0.15 * turn)[:, None] * np.ones(2)
     spots = measure(movie_of(400.0, grid(), sigma=sigma, seed=3))
     inside = spots.inside
-    change = spots.frame_widening[inside].sum(axis=0) / spots.light[inside].sum(axis=0)
+    change = spots.common_widening(inside)
     assert (change[turn > 0].mean() - change[turn < 0].mean()) / 2 == pytest.approx(0.15, abs=0.02)
     shown = spots.shape[inside][:, :, :2].sum() / 2 / spots.shape_weight[inside].sum()
     assert change.mean() == pytest.approx(shown, abs=0.01)  # blocks and frames tell the same

@@ -312,9 +312,7 @@ def width_course(observation: Observation) -> dict[str, Any]:
     blocks = range(spots.shape.shape[1])
     if len(keep) < 2 * FIFTHS:
         return {"course": ()}
-    light = spots.light[keep].sum(axis=0)
-    light = np.maximum(light, max(0.25 * float(light.mean()), 1e-6))  # few lit: no jumps from noise
-    walk = walk_of(spots.frame_widening[keep].sum(axis=0) / light, light.size // len(blocks))
+    walk = walk_of(spots.common_widening(keep), spots.light.shape[1] // len(blocks))
     if walk is not None:
         return _from_zero(walk)
     groups = [keep[i::FIFTHS] for i in range(FIFTHS)]

@@ -62,10 +62,19 @@ class Spots:
         block_of = block_of_frame(n_frames, len(self.path_px))
         if not self.inside.any():
             return self.path_px[block_of]
-        light = self.light[self.inside].sum(axis=0)
-        light = np.maximum(light, max(0.25 * float(light.mean()), 1e-6))  # few lit: no jumps from noise
-        beside = self.frame_shift[:, self.inside].sum(axis=1) / light[:, None]
+        beside = self.frame_shift[:, self.inside].sum(axis=1) / self._together(self.inside)[:, None]
         found: Array = self.path_px[block_of] + np.clip(beside, -MOST_BESIDE, MOST_BESIDE)
+        return found
+
+    def common_widening(self, these: NDArray[Any]) -> Array:
+        """Change of width² that these spots have in common in every frame (frame,), px²."""
+        found: Array = self.frame_widening[these].sum(axis=0) / self._together(these)
+        return found
+
+    def _together(self, these: NDArray[Any]) -> Array:
+        """Light of these spots in every frame, never next to none: few lit must not make jumps from noise."""
+        light = self.light[these].sum(axis=0)
+        found: Array = np.maximum(light, max(0.25 * float(light.mean()), 1e-6))
         return found
 
 
