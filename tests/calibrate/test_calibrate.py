@@ -180,7 +180,7 @@ def test_a_missing_excess_noise_kernel_or_tail_is_rejected_and_the_right_law_is_
 
 
 def test_no_kernel_means_none_of_the_read_noise_either():
-    """In a dim movie nearly all noise is the read-out's: a law without a kernel fails by that (52 standard errors)."""
+    """In a dim movie nearly all noise is the read-out's: a law without a kernel fails by that."""
     model = camera_with("CCD", read_noise_e=8.0, readout_kernel=(0.13,), read_noise_kernel=(0.13,))
     model = model.with_values({"optics.background_photons_per_px": 4.5})
     movie, dark = nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)

@@ -47,6 +47,10 @@ def test_a_walk_is_told_with_its_spectrum_and_neither_noise_nor_a_line_is_a_walk
     assert sum(walk_of(course, 30) is not None for course in lines) <= 20
 
 
+def test_a_movie_of_two_frames_shows_no_walk():
+    assert walk_of(np.array([1.0, 2.0]), 1) is None
+
+
 def test_a_focus_that_walks_is_told_for_each_frame():
     """Of 40 bright spots; in ten blocks the course would have lost what happens within thirty frames."""
     walk = walks(1, step=1.0, seed=5)[0][0]

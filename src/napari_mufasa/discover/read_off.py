@@ -124,6 +124,8 @@ def walk_of(course: Array, frames: int) -> Array | None:
     """A course for each frame where its steps are seen, and the mean of so many `frames` walks away by more than its
     noise."""
     far = max(2, frames // 2)
+    if len(course) <= far:
+        return None
     step, noise = walk_in_noise(course, far)
     # Of white noise, differences over one frame and over more differ by less (three standard deviations).
     chance = OFF * np.sqrt(8 / len(course)) * noise / (far - 1)
