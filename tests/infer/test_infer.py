@@ -32,6 +32,30 @@ def test_shares_of_a_frame_are_those_of_the_chain():
     assert shares == pytest.approx(total, rel=0.01)
 
 
+def test_where_in_a_frame_a_molecule_switches_is_anywhere():
+    hidden = Hidden(bleaching=1e-3)  # so slow that a frame has one switch at most
+    ends = hidden.within(0.1)[:, BRIGHT, BLEACHED]
+    shares, chances = np.linspace(0, 1, len(ends)), ends / ends.sum()
+    mean = chances @ shares
+    assert mean == pytest.approx(1 / 2, rel=1e-3)  # of a uniform share
+    assert chances @ (np.square(shares - mean) + hidden.widths) == pytest.approx(1 / 12, rel=1e-3)
+
+
+def test_how_long_a_frame_is_bright_scatters_as_in_fine_steps():
+    hidden = Hidden(bleaching=1.0, off=8.0, back=5.0)
+    within = hidden.within(0.1)[:, BRIGHT].sum(axis=1)
+    shares = np.linspace(0, 1, len(within))
+    found = within @ (np.square(shares) + hidden.widths) - (within @ shares) ** 2
+    rng, steps, n = np.random.default_rng(2), 200, 40_000
+    step = hidden.between(0.1 / steps).cumsum(axis=1)
+    at, bright = np.full(n, BRIGHT), np.zeros(n)
+    for _ in range(steps):
+        bright += at == BRIGHT
+        at = (rng.random(n)[:, None] > step[at]).sum(axis=1)
+    # Two switches in one part are none to the chain: a few in a hundred here; the sample's variance is known to 1 %.
+    assert found == pytest.approx(np.var(bright / steps), rel=0.06)
+
+
 @pytest.mark.parametrize("name", ["FF", "Blinking", "PALM"])
 def test_rates_come_back(name):
     model = nm.preset(name).with_values(CASES[name])
@@ -94,6 +118,13 @@ def test_brightness_that_differs_is_no_noise():
     assert level.sd / level.value == pytest.approx(0.25 / np.sqrt(120), rel=1 / 3)
     cycles = found.values["bleaching_rate_per_s"]
     assert abs(cycles.value - 1 / nm.predict(model).bleaching_time_s) < 4 * cycles.sd
+
+
+def test_molecules_that_are_alike_have_no_factors_of_their_own():
+    model = nm.preset("FF").with_values({"acquisition.n_frames": 60})
+    found = [nm.infer_photophysics(recorded(model, 60, seed), model, all_molecules=True) for seed in range(20)]
+    # Three standard errors: one set in 700. More than one of 20 happens once in 2600.
+    assert sum("brightness_spread" in each.values for each in found) <= stats.binom.isf(1e-3, 20, 1 / 700)
 
 
 def test_what_does_not_show_is_told():

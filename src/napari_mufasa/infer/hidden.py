@@ -64,6 +64,15 @@ class Hidden:
             found = longer
         return found
 
+    @property
+    def widths(self) -> Array:
+        """(share,) variance of the shares that each of those of `within` stands for: a switch may be anywhere in its
+        part, of which an odd number of eighths has one, an even one two."""
+        eighths = np.arange(2 * PARTS + 1)
+        switches = np.where(eighths % 2 == 1, 1, 2)
+        switches[[0, -1]] = 0
+        return np.asarray(switches / PARTS**2 / 12)
+
     def between(self, dead_s: float) -> Array:
         """(from, to) over the time between frames, in which light falls but none is counted."""
         return np.asarray(expm(self.generator * dead_s))

@@ -16,14 +16,14 @@ FREAK = np.exp(OUTLIER)
 
 
 @compiled
-def log_likelihoods(traces, levels, offset, dark_variance, extra_variance, within, between, start):  # type: ignore[no-untyped-def]
+def log_likelihoods(traces, levels, offset, dark_variance, extra_variance, within, widths, between, start):  # type: ignore[no-untyped-def]
     """(molecule,) log likelihood by the forward recursion.
 
     traces : (molecule, frame); levels : (molecule,) mean of a frame that is bright throughout, above `offset`
-    dark_variance, extra_variance : of a frame dark_variance + share · extra_variance (molecule,), and that of the
-        shares that one stands for
+    dark_variance, extra_variance : of a frame dark_variance + share · extra_variance (molecule,)
     within : (share, from, to) chance that a frame begins in one state, ends in another and is bright for a share of 0,
-        1/n, … 1 of it; between : (from, to) from a frame's end to the next one's start; start : (state,)
+        1/n, … 1 of it; widths : (share,) variance of the shares that each stands for
+    between : (from, to) from a frame's end to the next one's start; start : (state,)
     """
     n_molecules, n_frames = traces.shape
     n_shares, n_states = within.shape[0], within.shape[1]
@@ -35,9 +35,7 @@ def log_likelihoods(traces, levels, offset, dark_variance, extra_variance, withi
         total = 0.0
         for h in range(n_shares):
             share = h / (n_shares - 1)
-            variance = dark_variance + share * extra_variance[m]
-            if 0 < h < n_shares - 1:  # a share stands for all that are nearer to it than to others
-                variance += (levels[m] / (n_shares - 1)) ** 2 / 12
+            variance = dark_variance + share * extra_variance[m] + levels[m] ** 2 * widths[h]
             mean[h], precision[h], constant[h] = offset + share * levels[m], 0.5 / variance, 0.5 * np.log(variance)
         for f in range(n_frames):
             best = -np.inf

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 RATES = ("bleaching", "off", "back", "activation")
 FACTORS = np.linspace(-0.8, 0.8, 17)  # log of a molecule's brightness over the common one, tried
+PER_MEDIAN = 1.4826  # standard deviation over the median distance from the middle, of a normal law
+ALIKE = 3 * 1.17  # over √n: three standard errors of that standard deviation (1 in 700), relative
 LEAST = 1e-2  # events in all traces: the least a rate can be
 MOST_PER_FRAME = 20.0
 NUDGE = 1e-6  # of the logarithms, for first derivatives: a level can be known to one in thousands
@@ -40,7 +42,7 @@ class Problem:
 
         found = log_likelihoods(
             self.traces, level * factors, offset, noise[0], noise[1] * factors, hidden.within(self.frame_s),
-            hidden.between(self.dead_s), hidden.start,
+            hidden.widths, hidden.between(self.dead_s), hidden.start,
         )  # fmt: skip
         if not self.all_molecules:
             movie_s = self.traces.shape[1] * (self.frame_s + self.dead_s)
@@ -130,7 +132,9 @@ def with_errors(problem: Problem, seen: Dynamics, found: Fitted) -> Fitted:
 
 
 def own_factors(problem: Problem, found: Fitted) -> Array:
-    """(molecule,) each one's brightness over the common one: its own best, drawn to 1 as far as it is uncertain."""
+    """(molecule,) each one's brightness over the common one: its own best, drawn to 1 as far as it is uncertain. All 1
+    where the molecules differ no more than `ALIKE` molecules may by chance: factors made of noise take light from the
+    level and certainty from its error."""
     hidden, level, offset, noise = unpacked(found.names, found.point)
     n = len(problem.traces)
     tried = np.stack(
@@ -143,10 +147,12 @@ def own_factors(problem: Problem, found: Fitted) -> Array:
     own = FACTORS[best] + np.clip((right - left) / (2 * step) / curvature, -step, step)
     error = 1 / curvature
     sure = error < np.median(error) * 9
-    # Spread of the molecules beyond what their errors make; robust, for a few spots hold two.
+    # Robust, for a few spots hold two.
     middle_own = float(np.median(own[sure]))
-    spread = (1.4826 * float(np.median(np.abs(own[sure] - middle_own)))) ** 2 - float(np.median(error[sure]))
-    if spread <= 0:
+    apart = np.abs(own[sure] - middle_own)
+    beyond = PER_MEDIAN * float(np.median(apart / np.sqrt(error[sure]))) - 1
+    spread = (PER_MEDIAN * float(np.median(apart))) ** 2 - float(np.median(error[sure]))
+    if spread <= 0 or beyond < ALIKE / np.sqrt(sure.sum()):
         return np.ones(n)
     return np.asarray(np.exp((own - middle_own) * spread / (spread + error)))
 
