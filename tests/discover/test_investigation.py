@@ -13,7 +13,7 @@ from napari_mufasa.discover.coordinates import Coordinate, model_at
 from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.metric import soften, stretch
 from napari_mufasa.discover.nuisance import nuisances
-from napari_mufasa.discover.stand import Worth
+from napari_mufasa.discover.stand import Stand, Worth
 from napari_mufasa.effects import catalogue, effect_class
 
 KINDS = ["laser_drift", "row_noise", "background_gradient", "photobleaching"]
@@ -225,15 +225,18 @@ def test_no_name_that_does_nothing_is_told_though_the_budget_is_spent():
 class Doubted:
     """Three effects, each worth little beside the others; all together are worth so much, and each needs 20."""
 
-    def __init__(self, together):
-        self.together, self.asked = together, []
+    def __init__(self, together, stand_ins=()):
+        self.together, self.stand_ins, self.asked = together, stand_ins, []
         self.stands = [self._stand(("one", "two", "three", "sure"))]
 
     def _stand(self, added):
         doubtful = [kind for kind in added if kind != "sure"]
         alone = self.together / max(len(doubtful), 1) if len(doubtful) < 3 else 5.0
         worths = {kind: Worth(alone, 1.5, 20.0) for kind in doubtful} | {"sure": Worth(90.0, 3.0, 20.0)}
-        made = SimpleNamespace(added=added, worths=worths, confirmed=(), is_worth=lambda worth: worth.is_some)
+        made = SimpleNamespace(
+            added=added, worths=worths, confirmed=(),
+            is_worth=lambda worth: worth.is_some, may_stand_in=lambda kind: kind in self.stand_ins,
+        )  # fmt: skip
         made.confirming = lambda kind, worth: SimpleNamespace(**vars(made) | {"confirmed": ((kind, worths[kind]),)})
         return made
 
@@ -263,6 +266,42 @@ def test_what_is_worth_little_goes_together_only_where_together_it_is_not_worth_
     ]
     worth_two = Doubted(together=50.0)  # one stands in for the others: it goes, and they are worth 25 each
     assert steps.Steps.prune(worth_two) == {"one"} and worth_two.chosen == ["two", "three", "sure"]
+
+
+@pytest.mark.parametrize(("without", "left"), [(10.0, ("sure",)), (60.0, ("sure", "beside"))])
+def test_what_may_stand_in_for_another_is_told_by_one_fit_without_it(without, left):
+    class BesideIt(Doubted):
+        def _stand(self, added):
+            stand = super()._stand(added)
+            stand.worths["beside"] = Worth(70.0, 3.0, 20.0)  # enough, where the values of the other are
+            return stand
+
+        def _lesser(self, kinds, needed):
+            self.asked.append((tuple(kinds), needed))
+            worth = Worth(without, 1.5, needed)
+            return worth, None if worth.is_some else super()._stand(("sure",))
+
+    beside = BesideIt(together=0.0, stand_ins=("beside",))
+    beside.stands = [beside._stand(("sure", "beside"))]
+    assert steps.Steps.prune(beside) == {"beside"} - set(left)
+    assert tuple(beside.chosen) == left and beside.asked == [(("beside",), 20.0)]
+
+
+@pytest.mark.parametrize(
+    ("content", "evidence", "moved", "may"),
+    [
+        (False, 50.0, [2.0, 2.0, 0.0], True),
+        (True, 50.0, [2.0, 2.0, 0.0], False),  # nothing is left to make up for
+        (False, 500.0, [2.0, 2.0, 0.0], False),  # worth half of the other
+        (False, 50.0, [0.0, 1.0, 2.0], False),  # moves something else
+    ],
+)
+def test_what_is_worth_little_of_what_moves_the_same_may_stand_in_for_it(content, evidence, moved, may):
+    moves = {"strong": np.array([[9.0, 9.0, 0.0]]), "weak": np.array([moved])}
+    worths = {"strong": Worth(1000.0, 5.0, 20.0), "weak": Worth(evidence, 3.0, 20.0)}
+    state = SimpleNamespace(spread=np.ones((1, 3)))
+    stand = SimpleNamespace(content=content, worths=worths, moved_by=moves.get, state=state)
+    assert Stand.may_stand_in(stand, "weak") == may and not Stand.may_stand_in(stand, "strong")
 
 
 class Climb:

@@ -240,6 +240,16 @@ class Stand:
         sure = worth.evidence > self.null.evidence.at(SURE) and self.state.at_floor(self.x)
         return self.error < worth.error_without * (NOT_RISEN if sure else 1.0)
 
+    def may_stand_in(self, kind: str) -> bool:
+        """Is misfit left, and an effect worth so little of another that moves the same that it may make up for where
+        the values of that one have come to?"""
+        worth, moved = self.worths[kind].evidence, self.moved_by(kind)
+        return not self.content and any(
+            worth < FORM_WORTH * other.evidence and _shared(moved, self.moved_by(k), self.state.spread) > ALIKE
+            for k, other in self.worths.items()
+            if k != kind
+        )
+
     def confirming(self, kind: str, worth: Worth) -> Stand:
         """The same stand with what is known of one effect."""
         confirmed = tuple((k, w) for k, w in self.confirmed if k != kind)

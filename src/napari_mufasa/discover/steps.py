@@ -115,7 +115,9 @@ class Steps(Standing):
         while self.chosen:
             stand = self.stand
             doubtful = {
-                k: w for k, w in stand.worths.items() if not stand.is_worth(w) and (k, w) not in stand.confirmed
+                k: w
+                for k, w in stand.worths.items()
+                if (not stand.is_worth(w) or stand.may_stand_in(k)) and (k, w) not in stand.confirmed
             }
             if not doubtful:
                 break
