@@ -122,6 +122,22 @@ def test_dim_molecules_bleach_at_their_own_rate(slower, engine):
             close(counts[rows, frame].astype(float), lit, 2e-3 * level)
 
 
+def test_as_many_dim_ones_that_never_bleach_are_two_levels_of_brightness_and_nothing_else():
+    """Of levels 0.4 and 1.6 of a mean of 0.625, one is a quarter of the other, which is 1."""
+    added, model = effect("dim_population", number_ratio=1.0, brightness=0.25), plain(n_frames=100)
+    dim = simulate_emission(model.with_effects(added), 400, seed=4).mean(axis=1)
+    unequal = effect("brightness_heterogeneity", spread=0.6, form="two_levels")
+    factors = 0.625 * scene_of(plain().with_effects(unequal), np.zeros((800, 2))).brightness
+    parted = 0.625 * PHOTONS
+    assert np.mean(factors > 0.625) == pytest.approx(np.mean(dim > parted), abs=4 * np.sqrt(1 / 4 / 800))
+    close(dim[dim > parted], factors.max() * PHOTONS, 0.05)
+    close(dim[dim < parted], factors.min() * PHOTONS, 0.01)
+    np.testing.assert_allclose(np.unique(factors), [0.25, 1.0])
+    assert added.same_as(model, []) == ("brightness_heterogeneity",)
+    assert added.same_as(model, ["photobleaching"]) == ()
+    assert added.same_as(model.with_values({"fluorophore.cycles_before_bleaching": 1e5}), []) == ()
+
+
 def test_dim_molecules_blink_and_have_no_spread_of_their_own():
     effects = [effect("dim_population", number_ratio=3.0), effect("brightness_heterogeneity", spread=0.5)]
     effects += [effect("multiple_emitters", fraction=1.0), effect("molecule_diffusion")]

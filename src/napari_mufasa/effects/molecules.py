@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from napari_mufasa.model.effect import Effect, parameter
+from napari_mufasa.model.setup import Setup
 from napari_mufasa.photophysics.chain import Chain, Transition
 from napari_mufasa.simulate.scene import Scene
 
@@ -114,6 +116,12 @@ class DimPopulation(Effect):
     slower: float = parameter(
         3.0, ge=1, le=1e6, plausible=(1, 20), unit="", log=True, description="how many times more slowly they bleach"
     )
+
+    @classmethod
+    def same_as(cls, setup: Setup, beside: Collection[str]) -> tuple[str, ...]:
+        # Where nothing bleaches, faster or slower, bright and dim molecules are one law of a spread of brightness.
+        bleaches = setup.fluorophore.cycles_before_bleaching is not None or "photobleaching" in beside
+        return () if bleaches else ("brightness_heterogeneity",)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         n = round(self.number_ratio * len(scene.positions_px))
