@@ -88,8 +88,14 @@ class DimPopulation(Effect):
     common = False
     order = 1  # further molecules, to which nothing else happens
     title = "A second, dim population"
-    what_it_is = "Many molecules shine at a fraction of the others' brightness: impurities, free dye, out of focus."
-    what_it_does = "Faint spots that overlap make the background grainy; most are below what a finder of spots sees."
+    what_it_is = (
+        "Many molecules shine at a fraction of the others' brightness: impurities, free dye, out of focus; or, at the "
+        "molecules' own places, second fluorophores, or donors whose light leaks through."
+    )
+    what_it_does = (
+        "Faint spots that overlap make the background grainy, most below what a finder of spots sees; or spots stay "
+        "faintly lit where a molecule has bleached."
+    )
     how_to_check = "Image a sample without label, or average many frames: faint spots stand out of the background."
     observables = ("spots", "level", "background_variance", "pixel_pattern")
     rivals = ("brightness_heterogeneity", "background_gradient", "pixel_gain_variation")
@@ -116,6 +122,7 @@ class DimPopulation(Effect):
     slower: float = parameter(
         3.0, ge=1, le=1e6, plausible=(1, 20), unit="", log=True, description="how many times more slowly they bleach"
     )
+    form: Literal["anywhere", "companions"] = "anywhere"
 
     @classmethod
     def same_as(cls, setup: Setup, beside: Collection[str]) -> tuple[str, ...]:
@@ -125,9 +132,13 @@ class DimPopulation(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         n = round(self.number_ratio * len(scene.positions_px))
-        if n > 0:
-            places = rng.random((n, 2)) * scene.shape_px - 0.5
-            scene.add_molecules(places, (self.kind, dimmed(scene.chain, self.brightness, self.slower)))
+        if n == 0:
+            return
+        population = (self.kind, dimmed(scene.chain, self.brightness, self.slower))
+        if self.form == "anywhere":
+            scene.add_molecules(rng.random((n, 2)) * scene.shape_px - 0.5, population)
+        else:  # as many beside each, but for one more beside some
+            scene.add_companions(np.resize(rng.permutation(len(scene.positions_px)), n), population)
 
 
 def dimmed(chain: Chain, brightness: float, slower: float) -> Chain:

@@ -140,6 +140,15 @@ class Scene:
         if population is not None:
             self.populations.append(Population(*population, n))
 
+    def add_companions(self, of: NDArray[np.intp], population: tuple[str, Chain]) -> None:
+        """Further molecules, each at the place of one that is there (`of`: its index), which goes where that one goes
+        and has its share of the light."""
+        n = len(of)
+        self.add_molecules(self.positions_px[of], population)
+        self.brightness[-n:] = self.brightness[of]
+        if self.walk_px is not None:
+            self.walk_px[:, -n:] = self.walk_px[:, of]
+
     def light_each(self, course: NDArray[np.float32]) -> None:
         """Multiply the light of each molecule by its course (molecule, frame)."""
         self.light_of_each = course if self.light_of_each is None else self.light_of_each * course
