@@ -16,7 +16,7 @@ from .helpers import ccd, cmos, effect, plain
 
 CONTRACT = {
     "photophysics": "triplet_blinking long_dark_state photobleaching delayed_activation brightness_heterogeneity "
-    "multiple_emitters level_switching dim_population brightness_wander",
+    "multiple_emitters level_switching dim_population dim_companions brightness_wander",
     "illumination": "illumination_profile laser_drift laser_flicker periodic_modulation",
     "sample motion": "stage_drift focus_drift molecule_diffusion binding directed_motion",
     "optics and background": "astigmatism background_gradient background_decay background_as_measured psf_halo",
@@ -24,7 +24,7 @@ CONTRACT = {
     "detector_saturation image_lag baseline_drift cosmic_rays serial_readout frame_baseline converter_codes",
 }
 NEW = {
-    "level_switching", "dim_population", "brightness_wander", "binding", "directed_motion",
+    "level_switching", "dim_population", "dim_companions", "brightness_wander", "binding", "directed_motion",
     "background_as_measured", "psf_halo",
     "serial_readout", "frame_baseline", "converter_codes",
 }  # fmt: skip
@@ -136,6 +136,7 @@ def test_the_order_of_effects_that_add_or_follow_molecules_does_not_matter():
             "molecule_diffusion",
             "directed_motion",
             "dim_population",
+            "dim_companions",
             "brightness_wander",
             "stage_drift",
         )

@@ -122,24 +122,6 @@ def test_dim_molecules_bleach_at_their_own_rate(slower, engine):
             close(counts[rows, frame].astype(float), lit, 2e-3 * level)
 
 
-def test_companions_are_where_molecules_are_and_shine_on_when_these_have_bleached():
-    companions = effect("dim_population", number_ratio=1.5, brightness=0.25, slower=1e5, form="companions")
-    beside = [effect("brightness_heterogeneity", spread=0.5), effect("molecule_diffusion")]
-    places = np.arange(20.0).reshape(10, 2)
-    scene = scene_of(plain().with_effects(companions, *beside), places)
-    added = scene.positions_px[10:]
-    of = np.argmin(np.abs(added[:, None] - places).sum(axis=2), axis=1)
-    np.testing.assert_array_equal(added, places[of])
-    assert sorted(np.bincount(of)) == [1] * 5 + [2] * 5
-    np.testing.assert_array_equal(scene.brightness[10:], scene.brightness[of])
-    np.testing.assert_array_equal(scene.walk_px[:, 10:], scene.walk_px[:, of])
-    assert scene.brightness.std() > 0.1 and scene.walk_px.any()
-    bleaching = effect("photobleaching", rate_per_s=50.0)
-    counts = simulate_emission(plain(n_frames=40).with_effects(bleaching, companions), 400, seed=8)
-    assert len(counts) == 400 + 600 and not counts[:400, 30:].any()  # 400 e^(-15) are left: 1 in 8000 that any is
-    close(counts[400:, 30:].mean(axis=1), 0.25 * PHOTONS, 0.02)
-
-
 def test_as_many_dim_ones_that_never_bleach_are_two_levels_of_brightness_and_nothing_else():
     """Of levels 0.4 and 1.6 of a mean of 0.625, one is a quarter of the other, which is 1."""
     added, model = effect("dim_population", number_ratio=1.0, brightness=0.25), plain(n_frames=100)
@@ -164,6 +146,26 @@ def test_dim_molecules_blink_and_have_no_spread_of_their_own():
         assert len(scene.positions_px) == 20 + 60
         assert np.all(scene.brightness[20:] == 1) and scene.brightness[:20].std() > 0.1
         assert scene.walk_px.shape == (40, 80, 2) and not scene.walk_px[:, 20:].any()
+
+
+# Dim companions -----------------------------------------------------------------------------------------------
+
+
+def test_companions_are_where_molecules_are_and_shine_on_when_these_have_bleached():
+    companions = effect("dim_companions", brightness=0.25, slower=1e5)
+    beside = [effect("brightness_heterogeneity", spread=0.5), effect("molecule_diffusion"), effect("dim_population")]
+    places = np.arange(20.0).reshape(10, 2)
+    for order in ([companions, *beside], [*beside, companions]):
+        scene = scene_of(plain().with_effects(*order), places)
+        assert len(scene.positions_px) == 10 + 40 + 10
+        np.testing.assert_array_equal(scene.positions_px[50:], places)
+        np.testing.assert_array_equal(scene.brightness[50:], scene.brightness[:10])
+        np.testing.assert_array_equal(scene.walk_px[:, 50:], scene.walk_px[:, :10])
+        assert scene.brightness[:10].std() > 0.1 and scene.walk_px.any()
+    bleaching = effect("photobleaching", rate_per_s=50.0)
+    counts = simulate_emission(plain(n_frames=40).with_effects(bleaching, companions), 400, seed=8)
+    assert len(counts) == 800 and not counts[:400, 30:].any()  # 400 e^(-15) are left: 1 in 8000 that any is
+    close(counts[400:, 30:].mean(axis=1), 0.25 * PHOTONS, 0.02)
 
 
 # Brightness that wanders --------------------------------------------------------------------------------------

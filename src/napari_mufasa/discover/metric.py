@@ -18,7 +18,7 @@ SOFT = 8.0
 # The least spread an observable is credited with: counts that are usually zero have none in a few simulations.
 FLOORS = {
     "first_seen": 0.01, "survival": 0.03, "ensemble": 0.004, "gap": 0.08, "last_level": 0.05, "steps": 0.012,
-    "steps_brighter_bleach": 0.05,
+    "steps_brighter_bleach": 0.05, "left_after": 0.015,
     "narrow_bright": 0.6, "dark_narrow_bright": 0.6, "single_frame_outliers": 0.6, "repeated": 0.004,
     "dark_single_frame_outliers": 0.6, "common_shift": 0.03, "common_shift_jitter": 0.25, "background_time": 0.0004,
     "dark_mean": 0.02,

@@ -88,14 +88,8 @@ class DimPopulation(Effect):
     common = False
     order = 1  # further molecules, to which nothing else happens
     title = "A second, dim population"
-    what_it_is = (
-        "Many molecules shine at a fraction of the others' brightness: impurities, free dye, out of focus; or, at the "
-        "molecules' own places, second fluorophores, or donors whose light leaks through."
-    )
-    what_it_does = (
-        "Faint spots that overlap make the background grainy, most below what a finder of spots sees; or spots stay "
-        "faintly lit where a molecule has bleached."
-    )
+    what_it_is = "Many molecules shine at a fraction of the others' brightness: impurities, free dye, out of focus."
+    what_it_does = "Faint spots that overlap make the background grainy; most are below what a finder of spots sees."
     how_to_check = "Image a sample without label, or average many frames: faint spots stand out of the background."
     observables = ("spots", "level", "background_variance", "pixel_pattern")
     rivals = ("brightness_heterogeneity", "background_gradient", "pixel_gain_variation")
@@ -122,7 +116,6 @@ class DimPopulation(Effect):
     slower: float = parameter(
         3.0, ge=1, le=1e6, plausible=(1, 20), unit="", log=True, description="how many times more slowly they bleach"
     )
-    form: Literal["anywhere", "companions"] = "anywhere"
 
     @classmethod
     def same_as(cls, setup: Setup, beside: Collection[str]) -> tuple[str, ...]:
@@ -132,13 +125,35 @@ class DimPopulation(Effect):
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
         n = round(self.number_ratio * len(scene.positions_px))
-        if n == 0:
-            return
-        population = (self.kind, dimmed(scene.chain, self.brightness, self.slower))
-        if self.form == "anywhere":
-            scene.add_molecules(rng.random((n, 2)) * scene.shape_px - 0.5, population)
-        else:  # as many beside each, but for one more beside some
-            scene.add_companions(np.resize(rng.permutation(len(scene.positions_px)), n), population)
+        if n > 0:
+            places = rng.random((n, 2)) * scene.shape_px - 0.5
+            scene.add_molecules(places, (self.kind, dimmed(scene.chain, self.brightness, self.slower)))
+
+
+class DimCompanions(Effect):
+    kind = "dim_companions"
+    stage = STAGE
+    strength = "brightness"
+    common = False
+    order = 2  # as those of a dim population, which have none
+    title = "Dim companions"
+    what_it_is = "A dim emitter beside each molecule: a donor whose light leaks through, a second dye, a bleached form."
+    what_it_does = "Where a molecule has bleached, a share of its light stays, and goes much later."
+    how_to_check = "Look at single spots after their step: they are still there in the mean of many frames."
+    observables = ("left_after", "steps_between", "ensemble_5")
+    rivals = ("dim_population", "multiple_emitters", "photobleaching")
+    separated_by = "the light of spots after their last step; none of it lies elsewhere"
+
+    brightness: float = parameter(
+        0.2, ge=0, le=1, plausible=(0.02, 0.3), unit="", description="their brightness over that of their molecules"
+    )
+    slower: float = parameter(
+        10.0, ge=1, le=1e6, plausible=(2, 50), unit="", log=True, description="how many times more slowly they bleach"
+    )
+
+    def apply(self, scene: Scene, rng: np.random.Generator) -> None:
+        if self.brightness > 0:
+            scene.add_companions((self.kind, dimmed(scene.chain, self.brightness, self.slower)))
 
 
 def dimmed(chain: Chain, brightness: float, slower: float) -> Chain:
@@ -163,7 +178,7 @@ class BrightnessWander(Effect):
     stage = STAGE
     strength = "rms"
     common = False
-    order = 2  # every molecule wanders on its own, those of one spot and dim ones, too
+    order = 3  # every molecule wanders on its own, those of one spot and dim ones, too
     title = "Brightness that wanders"
     what_it_is = "Each molecule's brightness changes slowly on its own, as its orientation or surroundings do."
     what_it_does = "Levels of single traces wander over many frames, up and down, and not in unison."
@@ -206,4 +221,4 @@ class BrightnessWander(Effect):
         scene.light_each(np.exp(width * path - width**2 / 2).astype(np.float32))
 
 
-EFFECTS = (LevelSwitching, DimPopulation, BrightnessWander)
+EFFECTS = (LevelSwitching, DimPopulation, DimCompanions, BrightnessWander)

@@ -225,6 +225,12 @@ def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
         "",
         "last steps",
     )
+    after = t > states.last[:, None] + edge
+    gone = ends & (states.on_level > 0)
+    left = (light * after)[gone].sum(axis=1) / (after[gone].sum(axis=1) * states.on_level[gone])
+    table.add(
+        "left_after", _drawn_mean(np.clip(left, -1, 1), 0.0), "light after the last step / level", "", "last steps"
+    )
     table.add(
         "steps_brighter_bleach",
         _brightness_of_enders(states, ends),

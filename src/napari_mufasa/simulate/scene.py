@@ -140,14 +140,14 @@ class Scene:
         if population is not None:
             self.populations.append(Population(*population, n))
 
-    def add_companions(self, of: NDArray[np.intp], population: tuple[str, Chain]) -> None:
-        """Further molecules, each at the place of one that is there (`of`: its index), which goes where that one goes
-        and has its share of the light."""
-        n = len(of)
-        self.add_molecules(self.positions_px[of], population)
-        self.brightness[-n:] = self.brightness[of]
+    def add_companions(self, population: tuple[str, Chain]) -> None:
+        """Beside each of the first molecules one of a population of its own, which goes where that one goes and has its
+        share of the light."""
+        n = len(self.positions_px) - sum(other.n_molecules for other in self.populations)
+        self.add_molecules(self.positions_px[:n], population)
+        self.brightness[-n:] = self.brightness[:n]
         if self.walk_px is not None:
-            self.walk_px[:, -n:] = self.walk_px[:, of]
+            self.walk_px[:, -n:] = self.walk_px[:, :n]
 
     def light_each(self, course: NDArray[np.float32]) -> None:
         """Multiply the light of each molecule by its course (molecule, frame)."""
