@@ -423,7 +423,7 @@ def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():
     inquiry = investigation()
     inquiry.add(*HIDDEN)
     first, found = inquiry.stands
-    brightness = 1.6 * found.state.model.optics.brightness_correction
+    brightness = 2.2 * found.state.model.optics.brightness_correction
     astray = found.state.model.with_values({"optics.brightness_correction": brightness, "sample.n_molecules": 36})
     inquiry._stand_at(joint.seen_from(found.library, astray, KINDS))
     led_astray = inquiry.stand.error
