@@ -4,6 +4,9 @@
     python -m benchmarks.real_movies --write    and puts each movie's section there, its errors into results/
     python -m benchmarks.real_movies --seed 2   by other simulations: what hangs on their chance
 
+    python -m benchmarks.real_movies --only smfret --model build/real_movies/smfret_ixon_emccd/model.json --add KIND
+        fits the effects of a completed model anew beside one more, and prints what comes of it
+
 The figures of each report go to build/real_movies.
 
 W1 is that of extracted traces (photoelectrons per frame) against the model believed and the completed one, over the
@@ -83,10 +86,10 @@ def keep(name: str, report: nm.Report) -> None:
     ERRORS.write_text(json.dumps({name: kept[name] for name in NAMES if name in kept}, indent=1) + "\n")
 
 
-def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[str, Any]) -> str:
-    """W1 of the extracted traces against one model, in words."""
+def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[str, Any], seed: int = 0) -> str:
+    """W1 of the extracted traces against one simulation of a model, in words."""
     try:
-        found = compare_movie(movie, model, dark, fit=False, **options)
+        found = compare_movie(movie, model, dark, fit=False, seed=seed, **options)
     except nm.MufasaError as error:
         return f"W1, {what}: not to be had ({error})"
     w1 = found.w1
@@ -96,16 +99,35 @@ def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[st
     return f"W1, {what}: {w1['mufasa']:.3g} {w1['unit']} ({floor})"
 
 
+def fitted_with(
+    path: Path, kinds: list[str], name: str, movie: Any, model: nm.Model, dark: Any, rules: dict[str, Any], seed: int
+) -> None:
+    """Print what comes of a movie's completed model fitted anew with further effects; W1 of four simulations, for that
+    of one scatters."""
+    effects = nm.Model.from_json(path).effects
+    with working(f"fitting {name}") as work:
+        report = nm.refine(movie, model, [*effects, *kinds], dark, seed=seed, **work.both())
+    lines = [f"* {distance(movie, report.model, dark, f'simulation {k + 1}', rules, seed=k)}" for k in range(4)]
+    print(told(name, report, lines, " × ".join(str(n) for n in movie.shape) + " (frame, y, x)"), flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="movies whose name holds this word")
     parser.add_argument("--write", action="store_true", help="store in docs/real_movies.md")
     parser.add_argument("--seed", type=int, default=1, help="of the simulations; the page is that of seed 1")
+    parser.add_argument(
+        "--model", type=Path, help="of one movie, completed before: no diagnosis, but fitted anew with …"
+    )
+    parser.add_argument("--add", default=[], nargs="+", metavar="KIND", help="… these effects more; nothing is stored")
     options = parser.parse_args()
     if options.write and options.seed != 1:
         parser.error("the page is that of seed 1: leave out --write or --seed")
     for name, movie, model, dark, rules in movies():
         if options.only not in name:
+            continue
+        if options.model:
+            fitted_with(options.model, options.add, name, movie, model, dark, rules, options.seed)
             continue
         with working(f"diagnosing {name}") as work:
             report = nm.diagnose(movie, model, dark, seed=options.seed, **work.both())
