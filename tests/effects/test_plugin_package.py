@@ -64,7 +64,7 @@ def test_the_page_is_followed_to_the_letter(run):
     assert install_by_pip.code == "pip install -e .\n"
     listed, preset, simulate = commands_of(shell.code)
     lines = run("-m", *listed.replace("napari-mufasa", "napari_mufasa").split()).splitlines()
-    assert len(lines) == 1 + 36 + 1 and lines[-1].split()[0] == "room_light" and "amplitude=0.3" in lines[-1]
+    assert len(lines) == 1 + 37 + 1 and lines[-1].split()[0] == "room_light" and "amplitude=0.3" in lines[-1]
     words, _, name = preset.partition(" > ")
     (run.folder / name).write_text(run("-m", *words.replace("napari-mufasa", "napari_mufasa").split()))
     run("-m", *simulate.replace("napari-mufasa", "napari_mufasa").split())
