@@ -135,7 +135,7 @@ class DimCompanions(Effect):
     stage = STAGE
     strength = "brightness"
     common = False
-    order = 2  # as those of a dim population, which have none
+    order = 2  # after the dim population, whose molecules have none
     title = "Dim companions"
     what_it_is = "A dim emitter beside each molecule: a donor whose light leaks through, a second dye, a bleached form."
     what_it_does = "Where a molecule has bleached, a share of its light stays, and goes much later."
