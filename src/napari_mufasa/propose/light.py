@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
+from napari_mufasa.propose.fluctuations import fluctuation_width
 from napari_mufasa.spots.find import LEAST_PROMINENCE
 
 if TYPE_CHECKING:
@@ -33,7 +34,8 @@ LEAST_BLINKS = 0.5  # dark times per molecule from which on blinking is believed
 class Seen:
     """psf_sigma_px · background_e (photoelectrons per pixel and frame) · n_molecules · on_level_e (photoelectrons of a
     bright molecule per frame) · bleaching_per_frame, off_per_frame (rates) · dark_frames (mean dark time in frames) ·
-    moved: molecules move, so that the width is that of a few frames, not of the whole movie."""
+    width_from: "spots", in the mean of the movie; "short runs" of frames, where molecules move; "fluctuations", where too
+    few stand alone."""
 
     psf_sigma_px: Value
     background_e: Value
@@ -43,7 +45,7 @@ class Seen:
     off_per_frame: Value
     dark_frames: Value
     traces: TraceSet
-    moved: bool
+    width_from: str
 
 
 def seen_in(
@@ -53,14 +55,21 @@ def seen_in(
     """Look at a movie (frame, y, x) with the camera measured; `gain_doubt`: relative, `baseline_doubt_e`: both sd."""
     from napari_mufasa.traces import extract_traces
 
-    first = extract_traces(movie, camera, dark, width=None, progress=progress, cancel=cancel)
-    width = _width(first)
-    sigma = width.value if np.isfinite(width.value) else first.sigma_px
-    found = extract_traces(movie, camera, dark, psf_sigma_px=sigma, progress=progress, cancel=cancel)
-    width = _width(found) if np.isfinite(width.value) else width
-    still = _width_of_short_runs(movie, camera, dark, sigma)
-    moved = still.value + 2 * float(np.hypot(still.sd, width.sd)) < width.value
-    width = still if moved else width
+    def extracted(sigma_px: float | None) -> TraceSet:
+        how: dict[str, Any] = {"width": None} if sigma_px is None else {"psf_sigma_px": sigma_px}
+        return extract_traces(movie, camera, dark, progress=progress, cancel=cancel, **how)
+
+    found = first = extracted(None)
+    width, width_from = _width(first), "spots"
+    if np.isfinite(width.value):
+        found = extracted(width.value)
+        width = _width(found)
+        still = _width_of_short_runs(movie, camera, dark, found.sigma_px)
+        if still.value + 2 * float(np.hypot(still.sd, width.sd)) < width.value:
+            width, width_from = still, "short runs"
+    if not np.isfinite(width.value):
+        width, width_from = fluctuation_width(movie, camera), "fluctuations"
+        found = extracted(width.value if np.isfinite(width.value) else first.sigma_px)
     spread = float(np.std(np.median(found.background, axis=1))) if len(found.background) > 1 else 0.0
     background = found.background_e
     share = float(np.hypot(baseline_doubt_e, abs(background) * np.hypot(gain_doubt, 0.02)))
@@ -68,7 +77,7 @@ def seen_in(
     bleaching, off, dark_frames = _dynamics(found)
     return Seen(
         width, Value(background, share), _number(found, movie.shape[1:], bleaching), _level(found, gain_doubt),
-        bleaching, off, dark_frames, found, bool(moved),
+        bleaching, off, dark_frames, found, width_from,
     )  # fmt: skip
 
 

@@ -100,10 +100,14 @@ def propose_model(
     lit = movie[first:] if first else movie
     seen = seen_in(lit, camera, dark, *_doubts(found), progress=progress, cancel=cancel)
     notes += seen.traces.notes
-    if seen.moved:
+    if seen.width_from == "short runs":
         notes.append(
             f"molecules move: in a few frames they are {seen.psf_sigma_px.value:.2f} px wide, in the mean of the movie "
             f"{seen.traces.sigma_px:.2f} px; the former is taken"
+        )
+    if seen.width_from == "fluctuations" and np.isfinite(seen.psf_sigma_px.value):
+        notes.append(
+            "too few spots stand alone: the PSF's width is that of what neighbouring pixels change by together"
         )
     model = _model(camera, timing, seen, unknown)
     values = _values(found, seen, timing, model)
