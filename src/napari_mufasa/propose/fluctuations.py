@@ -37,7 +37,7 @@ def fluctuation_width(movie: Any, camera: Camera) -> Value:
     a second, broad Gaussian stands for what is out of focus. Holds `WINDOW` frames and their transforms at a time.
     """
     starts = np.arange(0, movie.shape[0] - WINDOW + 1, WINDOW)
-    if len(starts) < LEAST_WINDOWS:
+    if len(starts) < LEAST_WINDOWS or min(movie.shape[1:]) < 2 * REACH_PX:
         return UNKNOWN
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, MOST_WINDOWS).astype(int))]
     seen = np.stack([_covariance(photoelectrons(np.asarray(movie[s : s + WINDOW]), camera, int(s))) for s in chosen])

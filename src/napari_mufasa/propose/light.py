@@ -34,8 +34,8 @@ LEAST_BLINKS = 0.5  # dark times per molecule from which on blinking is believed
 class Seen:
     """psf_sigma_px · background_e (photoelectrons per pixel and frame) · n_molecules · on_level_e (photoelectrons of a
     bright molecule per frame) · bleaching_per_frame, off_per_frame (rates) · dark_frames (mean dark time in frames) ·
-    width_from: "spots", in the mean of the movie; "short runs" of frames, where molecules move; "fluctuations", where too
-    few stand alone."""
+    width_from: "spots", in the mean of the movie; "short runs" of frames, where molecules move; "fluctuations", where
+    too few stand alone."""
 
     psf_sigma_px: Value
     background_e: Value
