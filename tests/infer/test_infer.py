@@ -89,6 +89,16 @@ def test_values_are_unbiased_and_intervals_hold_the_truth():
     assert (np.sum(held, axis=0) >= stats.binom.ppf(1e-3, 30, 0.9)).all()
 
 
+def test_a_molecule_that_fits_badly_does_not_hold_up_the_fit():
+    """One of these 200 molecules rules the information where the fit begins: steps by that alone come to a seventh of
+    the cycles before they are used up. A right number is off by four of its errors once in 16 000 times."""
+    model = nm.preset("STORM").with_values(CASES["STORM"])
+    found = nm.infer_photophysics(recorded(model, 200, 27), model, all_molecules=True)
+    for name in ("cycles_before_bleaching", "isc_ratio", "triplet_decay_rate_per_s"):
+        value = found.values[name]
+        assert abs(value.value - truths(model)[name]) < 4 * value.sd, name
+
+
 def test_molecules_of_a_movie():
     model = nm.preset("FF").with_values(
         {"acquisition.n_frames": 150, "acquisition.shape_px": (160, 160), "sample.n_molecules": 100,

@@ -101,6 +101,11 @@ def fitted(
 
     # Scoring: steps by the molecules' own gradients, whose products add up to the information.
     now, damping = each(point), 1e-3
+
+    def stepped(step: Array) -> tuple[Array, Array]:
+        after = np.clip(point + np.clip(step, -1, 1), low, high)
+        return after, each(after)
+
     for _ in range(MOST_STEPS):
         gradients = np.array([(each(point + u) - now) / NUDGE for u in NUDGE * np.eye(len(names))])
         slope = gradients.sum(axis=1)
@@ -112,13 +117,15 @@ def fitted(
             free = ((point > low) | (slope > 0)) & ((point < high) | (slope < 0))
             step = np.zeros(len(names))
             step[free] = np.linalg.solve(damped[np.ix_(free, free)], slope[free])
-            after = np.clip(point + np.clip(step, -1, 1), low, high)
-            then = each(after)
+            after, then = stepped(step)
             if then.sum() >= now.sum():
                 break
             damping = max(10 * damping, 1e-2)
         else:
             break
+        # A molecule that fits badly rules the information, and steps by that are far too small.
+        while np.abs(step).max() < 1 and (farther := stepped(2 * step))[1].sum() > then.sum():
+            step, (after, then) = 2 * step, farther
         gain, point, now, damping = float(then.sum() - now.sum()), after, then, damping / 10
         if gain < ENOUGH and damping <= 1e-2:
             break
