@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa import camera as detector
 from napari_mufasa import checks
+from napari_mufasa.calibrate.sample import leading_dark_frames
 from napari_mufasa.camera.darkness import light_in_dark
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.errors import MufasaError
@@ -20,6 +21,9 @@ from napari_mufasa.model.model import Model
 FRAMES = 600  # a diagnosis looks at no more frames …
 VOXELS = 6_000_000  # … and pixels times frames than this
 DARK_FRAMES = 60
+LEAST_DARK = 5  # frames
+UNLIT = 0.3  # of the light: frames that hold less of it were recorded before it came on …
+ALL_OVER = 0.5  # … if it comes on all over the field: so much of its mean in the middle pixel
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,10 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     movie = checks.stack(movie)
     shape = _check(movie, "movie")
     notes = []
+    if dark is None and (first := _lit_from(movie, model)) >= LEAST_DARK:
+        movie, dark = movie[first:], movie[:first]
+        shape = (shape[0] - first, *shape[1:])
+        notes.append(f"Frames 0 to {first - 1} are dark: they are taken as dark frames, the others as the movie.")
     frames = min(shape[0], FRAMES)
     if frames < 20:
         raise MufasaError(f"the movie has {shape[0]} frames: a diagnosis needs at least 20")
@@ -61,8 +69,8 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
             raise MufasaError(
                 f"dark frames are {dark_shape[1:]} pixels, the movie {shape[1:]}: record both with the same region"
             )
-        if dark_shape[0] < 5:
-            raise MufasaError(f"{dark_shape[0]} dark frames are too few: give at least 5, better 50")
+        if dark_shape[0] < LEAST_DARK:
+            raise MufasaError(f"{dark_shape[0]} dark frames are too few: give at least {LEAST_DARK}, better 50")
         if told := light_in_dark(movie, dark):
             warnings.warn(told, stacklevel=3)
         dark_data = _counts(np.asarray(dark[: min(dark_shape[0], DARK_FRAMES), rows, columns]), "dark stack", model)
@@ -78,6 +86,18 @@ def cropped(model: Model) -> Model:
     part = model.in_shape(region=(slice(0, frames), *_crop(timing.shape_px, VOXELS // frames)))
     area = float(np.prod(part.acquisition.shape_px)) / float(np.prod(timing.shape_px))
     return part.with_values({"sample.n_molecules": max(1, round(model.sample.n_molecules * area))})
+
+
+def _lit_from(movie: Any, model: Model) -> int:
+    """The frame at which the light comes on; 0 unless those before it are dark, as the model's camera has it."""
+    first = leading_dark_frames(movie)
+    if first == 0:
+        return 0
+    parts = slice(max(first - DARK_FRAMES, 0), first), slice(first, first + DARK_FRAMES)
+    before, after = (np.asarray(movie[part]).mean(axis=0) for part in parts)
+    rise = after - before
+    dark = float(before.mean()) - model.camera.baseline_adu < UNLIT * float(rise.mean())
+    return first if dark and float(np.median(rise)) > ALL_OVER * float(rise.mean()) else 0
 
 
 def _check(movie: Any, what: str) -> tuple[int, int, int]:
