@@ -294,6 +294,9 @@ def test_what_may_stand_in_for_another_is_told_by_one_fit_without_it(without, le
         (True, 50.0, [2.0, 2.0, 0.0], False),  # nothing is left to make up for
         (False, 500.0, [2.0, 2.0, 0.0], False),  # worth half of the other
         (False, 50.0, [0.0, 1.0, 2.0], False),  # moves something else
+        (True, 50.0, [0.0, -20.0, 0.0], True),  # takes back, and more, a part of what the other does
+        (True, 500.0, [0.0, -20.0, 0.0], False),
+        (True, 50.0, [0.0, -1.0, 7.0], False),
     ],
 )
 def test_what_is_worth_little_of_what_moves_the_same_may_stand_in_for_it(content, evidence, moved, may):

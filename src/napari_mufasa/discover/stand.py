@@ -241,14 +241,12 @@ class Stand:
         return self.error < worth.error_without * (NOT_RISEN if sure else 1.0)
 
     def may_stand_in(self, kind: str) -> bool:
-        """Is misfit left, and an effect worth so little of another that moves the same that it may make up for where
-        the values of that one have come to?"""
-        worth, moved = self.worths[kind].evidence, self.moved_by(kind)
-        return not self.content and any(
-            worth < FORM_WORTH * other.evidence and _shared(moved, self.moved_by(k), self.state.spread) > ALIKE
-            for k, other in self.worths.items()
-            if k != kind
-        )
+        """Is an effect worth so little of another that it may make up for where the values of that one have come to:
+        while misfit is left, of one that moves the same, and ever of one that takes back much of what it does?"""
+        worth, moved, spread = self.worths[kind].evidence, self.moved_by(kind), self.state.spread
+        great = [self.moved_by(k) for k, other in self.worths.items() if worth < FORM_WORTH * other.evidence]
+        same = not self.content and any(_shared(moved, by, spread) > ALIKE for by in great)
+        return same or any(_taken_back(moved, by, spread) > FORM_WORTH for by in great)
 
     def confirming(self, kind: str, worth: Worth) -> Stand:
         """The same stand with what is known of one effect."""
@@ -276,3 +274,9 @@ def _shared(moves: Array, moved: Array, spread: Array) -> float:
     """How much of what an effect moves, others have moved already as far, 0 … 1."""
     moves, moved = np.square(moves[0] / spread[0]), np.square(moved[0] / spread[0])
     return float(np.minimum(moves, moved).sum() / max(moves.sum(), 1e-9))
+
+
+def _taken_back(moves: Array, moved: Array, spread: Array) -> float:
+    """How much of what an effect moves, another moves the other way."""
+    moves, moved = moves[0] / spread[0], moved[0] / spread[0]
+    return float(-(moves @ moved) / max(moves @ moves, 1e-9))
