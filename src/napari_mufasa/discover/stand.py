@@ -278,5 +278,5 @@ def _shared(moves: Array, moved: Array, spread: Array) -> float:
 
 def _taken_back(moves: Array, moved: Array, spread: Array) -> float:
     """How much of what an effect moves, another moves the other way."""
-    moves, moved = moves[0] / spread[0], moved[0] / spread[0]
-    return float(-(moves @ moved) / max(moves @ moves, 1e-9))
+    one, other = moves[0] / spread[0], moved[0] / spread[0]
+    return -float(one @ other) / max(float(one @ one), 1e-9)
