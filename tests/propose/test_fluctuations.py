@@ -31,7 +31,7 @@ def test_molecules_that_diffuse_show_the_width_of_the_psf(fwhm_nm):
 
 
 def test_where_nothing_changes_together_no_width_is_told():
-    """Photon and read noise alone give one by chance at most once in 2 to the power of the number of groups of windows."""
+    """By chance, of photon and read noise, at most once in 2 to the power of the number of groups of windows."""
     model = nm.preset("FF").with_values(CROWD)
     assert not any(np.isfinite(fluctuation_width(nm.simulate(model, seed=s).movie, model.camera).value) for s in (1, 2))
 

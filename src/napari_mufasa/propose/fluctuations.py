@@ -46,7 +46,8 @@ def fluctuation_width(movie: Any, camera: Camera) -> Value:
     without = np.array([_width(np.delete(seen, group, axis=0).mean(axis=0)) for group in groups])
     sd = float(np.sqrt((len(groups) - 1) * without.var()))  # jackknife
     near = np.hypot(*_lags()) <= NEAR_PX
-    everywhere = all(seen[group][:, near].mean() > 0 for group in groups)  # by chance once in 2 to the power of their number
+    # By chance once in 2 to the power of the number of groups.
+    everywhere = all(seen[group][:, near].mean() > 0 for group in groups)
     if not (everywhere and width > CLEAR * sd):
         return UNKNOWN
     # Pixels add 1/12 to the variance of a recorded spot.
