@@ -21,7 +21,7 @@ from napari_mufasa.model.model import Model
 FRAMES = 600  # a diagnosis looks at no more frames …
 VOXELS = 6_000_000  # … and pixels times frames than this
 DARK_FRAMES = 60
-LEAST_DARK = 5  # frames
+LEAST_FRAMES, LEAST_DARK = 20, 5
 UNLIT = 0.3  # of the light: frames that hold less of it were recorded before it came on …
 ALL_OVER = 0.5  # … if it comes on all over the field: so much of its mean in the middle pixel
 
@@ -43,13 +43,9 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     movie = checks.stack(movie)
     shape = _check(movie, "movie")
     notes = []
-    if dark is None and (first := _lit_from(movie, model)) >= LEAST_DARK:
-        movie, dark = movie[first:], movie[:first]
-        shape = (shape[0] - first, *shape[1:])
-        notes.append(f"Frames 0 to {first - 1} are dark: they are taken as dark frames, the others as the movie.")
     frames = min(shape[0], FRAMES)
-    if frames < 20:
-        raise MufasaError(f"the movie has {shape[0]} frames: a diagnosis needs at least 20")
+    if frames < LEAST_FRAMES:
+        raise MufasaError(f"the movie has {shape[0]} frames: a diagnosis needs at least {LEAST_FRAMES}")
     if frames < shape[0]:
         notes.append(f"The first {frames} of {shape[0]} frames were used.")
     rows, columns = _crop(shape[1:], VOXELS // frames)
@@ -62,6 +58,10 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     data = _counts(np.asarray(movie[region]), "movie", model)
     Frames(data, model.in_shape(maps=None).camera).check_light()
     dark_data = None
+    if dark is None and LEAST_DARK <= (first := _lit_from(data, model)) <= frames - LEAST_FRAMES:
+        dark_data, data = data[max(first - DARK_FRAMES, 0) : first], data[first:]
+        region, shape = (slice(0, len(data)), rows, columns), (shape[0] - first, *shape[1:])
+        notes.append(f"Frames 0 to {first - 1} are dark: they are taken as dark frames, the others as the movie.")
     if dark is not None:
         dark = checks.stack(dark, "dark")
         dark_shape = _check(dark, "dark stack")
@@ -88,13 +88,13 @@ def cropped(model: Model) -> Model:
     return part.with_values({"sample.n_molecules": max(1, round(model.sample.n_molecules * area))})
 
 
-def _lit_from(movie: Any, model: Model) -> int:
+def _lit_from(movie: NDArray[np.uint16], model: Model) -> int:
     """The frame at which the light comes on; 0 unless those before it are dark, as the model's camera has it."""
     first = leading_dark_frames(movie)
     if first == 0:
         return 0
     parts = slice(max(first - DARK_FRAMES, 0), first), slice(first, first + DARK_FRAMES)
-    before, after = (np.asarray(movie[part]).mean(axis=0) for part in parts)
+    before, after = (movie[part].mean(axis=0) for part in parts)
     rise = after - before
     dark = float(before.mean()) - model.camera.baseline_adu < UNLIT * float(rise.mean())
     return first if dark and float(np.median(rise)) > ALL_OVER * float(rise.mean()) else 0
