@@ -123,6 +123,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.write and options.seed != 1:
         parser.error("the page is that of seed 1: leave out --write or --seed")
+    if bool(options.model) != bool(options.add) or (options.model and options.write):
+        parser.error("--model and --add go together, and without --write")
     for name, movie, model, dark, rules in movies():
         if options.only not in name:
             continue

@@ -24,7 +24,7 @@ NEAREST = 1.2  # px: read-out mixes pixels that are nearer
 BROAD = 2.0  # times the PSF's width and more: light that is out of focus, cells that move
 NEAR_PX = 3.0  # within which pixels must change together, in every group of windows
 CLEAR = 6.0  # standard errors that the width must be above 0
-SHAPE_DOUBT = 0.08  # of the width: how far molecules move within a frame, and from one to the other of a pair
+SHAPE_DOUBT = 0.12  # of the width: how far molecules move within a frame, and from one to the other of a pair
 
 
 def fluctuation_width(movie: Any, camera: Camera) -> Value:
@@ -34,7 +34,9 @@ def fluctuation_width(movie: Any, camera: Camera) -> Value:
     Molecules that are independent of one another fluctuate together in all the pixels that one of them lights: the
     covariance over space is A exp(−r²/4σ²), the PSF with itself, and noise has none (Petersen et al., Biophys. J. 65,
     1135, 1993, doi:10.1016/S0006-3495(93)81173-1). What all pixels share, as the light's flicker, is taken off first;
-    a second, broad Gaussian stands for what is out of focus. Holds `WINDOW` frames and their transforms at a time.
+    a second, broad Gaussian stands for what is out of focus. Molecules that move by no more than the PSF's width in
+    `LAG` frames make it a tenth too small, which the interval has room for; slower ones are seen as spots.
+    Holds `WINDOW` frames and their transforms at a time.
     """
     starts = np.arange(0, movie.shape[0] - WINDOW + 1, WINDOW)
     if len(starts) < LEAST_WINDOWS or min(movie.shape[1:]) < 2 * REACH_PX:
