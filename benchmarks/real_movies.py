@@ -30,6 +30,7 @@ from napari_mufasa import files
 from napari_mufasa.cli.console import working
 from napari_mufasa.compare import compare_movie
 from napari_mufasa.discover.bench import WORKERS
+from napari_mufasa.discover.measurement import cropped, prepare
 from napari_mufasa.report import html as html_report
 from napari_mufasa.report.words import chosen_candidates, effect_title, parameter_lines, verdict_text
 from napari_mufasa.traces import extract_traces
@@ -87,7 +88,7 @@ def keep(name: str, report: nm.Report) -> None:
 
 
 def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[str, Any], seed: int = 0) -> str:
-    """W1 of the extracted traces against one simulation of a model, in words."""
+    """W1 of the extracted traces against simulations of a model, in words."""
     try:
         found = compare_movie(movie, model, dark, fit=False, seed=seed, **options)
     except nm.MufasaError as error:
@@ -99,15 +100,28 @@ def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[st
     return f"W1, {what}: {w1['mufasa']:.3g} {w1['unit']} ({floor})"
 
 
+def distances_of(
+    movie: Any, believed: nm.Model, completed: nm.Model, dark: Any, rules: dict[str, Any], seed: int = 0
+) -> list[str]:
+    """W1 of a movie's traces against two models; against the completed one also in the part that was looked at."""
+    told = [
+        distance(movie, believed, dark, "model believed", rules, seed),
+        distance(movie, completed, dark, "completed model", rules, seed),
+    ]
+    part = prepare(movie, believed, dark)
+    if not part.part.is_whole:
+        told.append(distance(part.movie, cropped(completed), part.dark, "there, in the part looked at", rules, seed))
+    return [f"* {line}" for line in told]
+
+
 def fitted_with(
     path: Path, kinds: list[str], name: str, movie: Any, model: nm.Model, dark: Any, rules: dict[str, Any], seed: int
 ) -> None:
-    """Print what comes of a movie's completed model fitted anew with further effects; W1 of four simulations, for that
-    of one scatters."""
+    """Print what comes of a movie's completed model fitted anew with further effects."""
     effects = nm.Model.from_json(path).effects
     with working(f"fitting {name}") as work:
         report = nm.refine(movie, model, [*effects, *kinds], dark, seed=seed, **work.both())
-    lines = [f"* {distance(movie, report.model, dark, f'simulation {k + 1}', rules, seed=k)}" for k in range(4)]
+    lines = distances_of(movie, model, report.model, dark, rules)
     print(told(name, report, lines, " × ".join(str(n) for n in movie.shape) + " (frame, y, x)"), flush=True)
 
 
@@ -137,10 +151,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         shape = " × ".join(str(n) for n in movie.shape)
         html_report.export(folder, report, extract_traces(movie, model.camera, dark, **rules).traces, shape)
-        distances = [
-            f"* {distance(movie, model, dark, 'model believed', rules)}",
-            f"* {distance(movie, report.model, dark, 'completed model', rules)}",
-        ]
+        distances = distances_of(movie, model, report.model, dark, rules)
         section = told(name, report, distances, f"{shape} (frame, y, x)")
         print(section, flush=True)
         if options.write:

@@ -19,6 +19,7 @@ from napari_mufasa.compare import (
     to_photoelectrons,
 )
 from napari_mufasa.compare.distributions import Sample, dwell_frames, until_bleaching
+from napari_mufasa.effects import effect_class
 from napari_mufasa.files.traces import read_traces
 from napari_mufasa.files.whole import write_json
 from napari_mufasa.traces.dynamics import dynamics
@@ -62,6 +63,21 @@ def test_the_fit_knows_the_brightness(bleaching):
     assert fitted / true["photons_per_s_per_molecule"] == pytest.approx(1.0, abs=0.1)
     background = found.fit.model.optics.background_photons_per_px
     assert background / true["background_photons_per_px"] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_right_model_of_molecules_mostly_unseen_reaches_the_floor(seed):
+    """Bright molecules in the places of all candidates, the dim ones that were found among them, would be too many and
+    too bright: W1 is 1.7 and 1.8 floors then."""
+    model = nm.Model.from_json(MODELS / "smfret_ixon.json").in_shape(n_frames=300, shape_px=(96, 160))
+    model = model.with_values({"sample.n_molecules": 150, "optics.brightness_correction": 3.0})
+    dim = effect_class("dim_population")(number_ratio=3.5, brightness=0.2)
+    model = model.model_copy(update={"effects": (dim,)})
+    movie = nm.simulate(model, seed=100 + seed).movie
+    found = compare_movie(movie, model, fit=False, seed=seed, max_steps=1, n_bootstrap=20)
+    assert found.w1["mufasa"] < 1.25 * found.w1["floor"]
+    n, kept = (len(found.samples[name].traces) for name in ("measured", "mufasa"))
+    assert abs(kept / 4 - n) < 3 * np.sqrt(n)  # four movies were simulated
 
 
 def test_same_seed_same_numbers(bleaching):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import checks
+from napari_mufasa.chance.streams import Streams
 from napari_mufasa.compare.distributions import Distribution, Sample, distributions
 from napari_mufasa.compare.fit import Fit, background_level_e, fit_gain, fit_model, fit_raw_traces
 from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, extract_simulated
@@ -17,6 +18,7 @@ from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, 
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.files.traces import UNITS
 from napari_mufasa.model.model import Model
+from napari_mufasa.simulate import layout
 from napari_mufasa.simulate.movie import SimulatedAcquisition
 from napari_mufasa.spots.aperture import Profile
 from napari_mufasa.traces import Options, TraceSet, extract_traces
@@ -87,7 +89,8 @@ def compare_movie(
 ) -> Comparison:
     """Compare a measured movie with a model, the baselines and (with `fit`) the fitted model.
 
-    Traces are extracted from the movie; every model is simulated with molecules at the candidates' places,
+    Traces are extracted from the movie; every model is simulated with molecules at the candidates' places, or, where
+    one of its effects leaves many molecules too dim to be candidates, with as many as it has in places of their own;
     recorded by the model's camera, and extracted by the same detection and selection.
 
     Parameters
@@ -118,26 +121,26 @@ def compare_movie(
             f"({_most_frequent(measured)}); lower the threshold or relax the selection"
         )
     model = model.in_shape(n_frames=movie.shape[0], shape_px=movie.shape[1:])
-    everywhere = measured.positions_px[~measured.molecules["reason"].isin(_NOT_MOLECULES).to_numpy()]
-    sets = {}
-    for name, acquisition in acquisitions(model, everywhere, seed, sofi_times).items():
-        sets[name] = extract_simulated(acquisition, options, cancel=cancel)
+    places = _places(model, measured, seed)
+    # Few molecules of unequal brightness are few samples: several movies make the model's W1, and a fit, steadier.
+    repeats = int(np.clip(ENOUGH_MOLECULES // int(measured.kept.sum()), 1, MOST_MOVIES))
+
+    def simulate(candidate: Model, first_seed: int = seed, but: int = 0) -> list[NDArray[np.float32]]:
+        seeds = [first_seed + 1000 * i for i in range(but, repeats)]
+        movies = (SimulatedAcquisition(candidate, _places(model, measured, each), each) for each in seeds)
+        return [extract_simulated(a, options, cancel=cancel).traces for a in movies]
+
+    samples = {"measured": _sample(measured.traces)}
+    for name, acquisition in acquisitions(model, places, seed, sofi_times).items():
+        traces = [extract_simulated(acquisition, options, cancel=cancel).traces]
+        samples[name] = _sample(np.concatenate(traces + (simulate(model, but=1) if name == "mufasa" else [])))
         steps.done()
     fitted = None
     if fit:
-        # Few molecules of unequal brightness are few samples: several movies make the fit and its W1 steadier.
-        repeats = int(np.clip(ENOUGH_MOLECULES // max(len(everywhere), 1), 1, MOST_MOVIES))
-
-        def simulate(candidate: Model, first_seed: int = seed) -> NDArray[np.float32]:
-            movies = (SimulatedAcquisition(candidate, everywhere, first_seed + 1000 * i) for i in range(repeats))
-            return np.concatenate([extract_simulated(a, options, cancel=cancel).traces for a in movies])
-
-        fitted = fit_model(measured, model, simulate)
+        fitted = fit_model(measured, model, lambda candidate: np.concatenate(simulate(candidate)))
         steps.done()
-    samples = {name: _sample(s.traces) for name, s in {"measured": measured, **sets}.items()}
-    if fitted is not None:
         # Another seed than the fit used: the fit must not profit from its own chance.
-        samples["fitted"] = _sample(simulate(fitted.model, seed + 10))
+        samples["fitted"] = _sample(np.concatenate(simulate(fitted.model, seed + 10)))
         steps.done()
     notes = measured.notes + tuple(
         f"{name}: no molecule was detected in the simulated movie" for name, s in samples.items() if not len(s.traces)
@@ -256,6 +259,15 @@ def _check(model: Any, seed: Any, sofi_times: Any, n_bootstrap: Any) -> None:
 
 
 _NOT_MOLECULES = ("narrower than the PSF", "never on")
+
+
+def _places(model: Model, measured: TraceSet, seed: int) -> NDArray[np.float64]:
+    """Where molecules are simulated (molecule, 2): where candidates were found. They are a selection by brightness: a
+    model that says how many are too dim to be found has all its molecules, in places of its own."""
+    if any(effect.hides_molecules for effect in model.effects):
+        return layout.place(model, Streams(seed).of("positions"))
+    candidates = ~measured.molecules["reason"].isin(_NOT_MOLECULES).to_numpy()
+    return np.asarray(measured.positions_px[candidates])
 
 
 def _sample(traces: NDArray[np.floating]) -> Sample:

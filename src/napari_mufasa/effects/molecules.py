@@ -86,6 +86,7 @@ class DimPopulation(Effect):
     stage = STAGE
     strength = "number_ratio"
     common = False
+    hides_molecules = True
     order = 1  # further molecules, to which nothing else happens
     title = "A second, dim population"
     what_it_is = "Many molecules shine at a fraction of the others' brightness: impurities, free dye, out of focus."

@@ -289,6 +289,7 @@ class BrightnessHeterogeneity(Effect):
     kind = "brightness_heterogeneity"
     stage = STAGE
     strength = "spread"
+    hides_molecules = True
     title = "Unequal brightness"
     what_it_is = "Molecules differ in orientation and surroundings, so they absorb and shine unequally."
     what_it_does = "Levels differ from spot to spot; each spot keeps its own, and bleaches in one step."

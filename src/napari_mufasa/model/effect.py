@@ -60,6 +60,7 @@ class Effect(Values):
         common ones leave a model off its floor
     describes_only : whether it repeats what a movie shows, whatever caused it: considered where no effect with a law
         of its own explains anything more, and no rival of one
+    hides_molecules : whether it leaves many molecules too dim to be found one by one
     order : effects are applied in the model's order, those of a lower number before. What adds molecules that others
         shall act on comes first (−1), what adds molecules of another kind last (1), what acts on all of them later (2)
     """
@@ -77,6 +78,7 @@ class Effect(Values):
     separated_by: ClassVar[str] = ""
     common: ClassVar[bool] = True
     describes_only: ClassVar[bool] = False
+    hides_molecules: ClassVar[bool] = False
     order: ClassVar[int] = 0
 
     def apply(self, scene: Any, rng: np.random.Generator) -> None:
