@@ -302,8 +302,17 @@ def test_what_may_stand_in_for_another_is_told_by_one_fit_without_it(without, le
 def test_what_is_worth_little_of_what_moves_the_same_may_stand_in_for_it(content, evidence, moved, may):
     moves = {"strong": np.array([[9.0, 9.0, 0.0]]), "weak": np.array([moved])}
     worths = {"strong": Worth(1000.0, 5.0, 20.0), "weak": Worth(evidence, 3.0, 20.0)}
-    state = SimpleNamespace(spread=np.ones((1, 3)))
-    stand = SimpleNamespace(content=content, worths=worths, moved_by=moves.get, state=state)
+    state = SimpleNamespace(spread=np.ones((1, 3)), at_floor=lambda x: False)
+    stand = SimpleNamespace(content=content, worths=worths, moved_by=moves.get, state=state, x=None)
+    assert Stand.may_stand_in(stand, "weak") == may and not Stand.may_stand_in(stand, "strong")
+
+
+@pytest.mark.parametrize(("at_floor", "without", "may"), [(True, 1.3, True), (True, 1.4, False), (False, 1.3, False)])
+def test_at_the_floor_what_hardly_leaves_it_is_told_by_a_whole_fit_whatever_its_evidence(at_floor, without, may):
+    worths = {"strong": Worth(1000.0, 5.0, 20.0), "weak": Worth(500.0, without, 20.0)}
+    moves = {"strong": np.array([[9.0, 9.0, 0.0]]), "weak": np.array([[2.0, 2.0, 0.0]])}
+    state = SimpleNamespace(spread=np.ones((1, 3)), at_floor=lambda x: at_floor, floor=1.0)
+    stand = SimpleNamespace(content=False, worths=worths, moved_by=moves.get, state=state, x=None)
     assert Stand.may_stand_in(stand, "weak") == may and not Stand.may_stand_in(stand, "strong")
 
 

@@ -243,9 +243,9 @@ class Stand:
 
     def may_stand_in(self, kind: str) -> bool:
         """Is an effect worth so little of another that it may make up for where the values of that one have come to:
-        while misfit is left, of one that moves the same, and ever of one that takes back much of what it does? And,
-        where none is left, is the model so near the floor without it that the values of the others may do?"""
-        if self.content and self.worths[kind].error_without < FAR * self.state.floor:
+        while misfit is left, of one that moves the same, and ever of one that takes back much of what it does? And, at
+        the floor, is the model so near it without the effect that the values of the others may do?"""
+        if self.state.at_floor(self.x) and self.worths[kind].error_without < FAR * self.state.floor:
             return True
         worth, moved, spread = self.worths[kind].evidence, self.moved_by(kind), self.state.spread
         great = [self.moved_by(k) for k, other in self.worths.items() if worth < FORM_WORTH * other.evidence]
