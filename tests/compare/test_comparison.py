@@ -207,6 +207,15 @@ def test_densities_integrate_to_one():
     assert counts.curves["measured"].sum() * width == pytest.approx(1.0, abs=0.01)
 
 
+def test_one_bright_molecule_does_not_squeeze_the_others_into_a_bin():
+    """One in 400 molecules is 40 times as bright as the mean; the bins are where the others are."""
+    rng = np.random.default_rng(0)
+    level = np.where(np.arange(400) < 1, 4000.0, rng.uniform(50, 150, 400))
+    traces = rng.normal(level[:, None], 5.0, (400, 40))
+    levels = distributions({"measured": Sample(traces, dynamics(traces))}, "photoelectrons")["levels"]
+    assert (levels.x < 150).sum() > 0.9 * len(levels.x)
+
+
 def test_nothing_to_compare_is_said():
     model = nm.Model.from_dict(generator.base_model("emccd"))
     dark = nm.simulate_dark(model, 30, seed=1)

@@ -13,6 +13,7 @@ from napari_mufasa.traces.correlation import autocovariance
 from napari_mufasa.traces.dynamics import Dynamics
 
 MAX_LAG = 50  # frames
+SHOWN = (0.2, 99.5)  # per cent of all values: one bright molecule does not squeeze the others into a bin
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def _longer(lengths: NDArray[np.int64], n_frames: int) -> NDArray[np.float64]:
 
 def _histograms(name: str, values: Mapping[str, NDArray[np.floating]], x_label: str) -> Distribution:
     together = np.concatenate([v for v in values.values() if len(v)])
-    low, high = np.percentile(together, [0.05, 99.95])
+    low, high = np.percentile(together, SHOWN)
     first = next(iter(values.values()))
     n_bins = int(np.clip(2 * len(first) ** (1 / 3), 10, 80))  # Rice's rule on the measurement
     edges = np.linspace(low, high if high > low else low + 1.0, n_bins + 1)
