@@ -28,7 +28,7 @@ from napari_mufasa.traces.select import windows
 
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
-ENOUGH_MOLECULES, MOST_MOVIES = 600, 4  # simulated behind a fit; movies made to get there
+ENOUGH_MOLECULES, MOST_MOVIES = 600, 4  # simulated behind a W1 and a fit; movies made to get there
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ AT_FLOOR = 1.15  # a held-out error within this factor of its floor is at the fl
 NOT_RISEN = 1.03  # how far an error may rise: at its floor with a lone effect that is sure, and with a likelier form
 FALLS = 1.04  # times the error: so much it must be without an effect that stands beside others
 FAR_OFF = 2.5  # above so many floors what a model promises of its neighbourhood is not to be had
-FAR = 1.35  # an error above so many floors is not explained, however far it fell …
+FAR = 1.35  # an error above so many floors is not explained, however far it fell (and an effect without which it would
+# be below, at the floor, is told by a whole fit) …
 EXPLAINED = 0.6  # … nor is one of which less than this share went away
 OFF = 3.0  # an observable farther off than so many standard deviations is failing
 PLAIN = 15.0  # −2 log likelihood by which another form must be better than the plain one (noise of judging: about 5)
