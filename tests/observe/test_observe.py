@@ -1,13 +1,13 @@
 """The table of observables: fixed names, states of traces, parts of the field."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover.read_off import background_beyond, in_scale_of, read_off
+from napari_mufasa.discover.read_off import averaged, background_beyond, in_scale_of, read_off, relief_beyond
 from napari_mufasa.effects.illumination import IlluminationProfile
 from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
@@ -184,6 +184,17 @@ def test_the_bright_side_is_read_off(added):
     assert abs((seen - 200.0 + 180) % 360 - 180) < 15
 
 
+@dataclass
+class Shown:
+    """Of an observation its maps alone."""
+
+    maps: np.ndarray
+
+    @property
+    def background_map(self):
+        return self.maps[0]
+
+
 def test_the_background_beyond_a_model_is_read_off():
     """Map and course relative to those of the model; a transient of ten frames is kept, the noise of frames is not."""
     rng = np.random.default_rng(1)
@@ -218,6 +229,25 @@ def test_background_that_spots_hide_in_a_whole_quarter_is_read_off_and_none_is_t
     np.testing.assert_allclose(found["map"], 1.0, atol=1e-4)
     dark = SimpleNamespace(course=np.zeros(90), background_map=np.zeros((32, 32)))
     assert background_beyond(one, [dark]) == {"map": (), "map_columns": 1, "course": ()}
+
+
+def test_of_a_relief_is_read_off_what_the_model_s_own_patterns_do_not_show():
+    """Columns at random, as the model has them, are no relief (taken for one in 1 of 300 draws); a slope beside them
+    is (missed in 2 of 300), and what the model shows of another is not in it. The seed is fixed."""
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[:12, :16]
+
+    def seen(*reliefs):
+        tiles = 50 + sum(reliefs) + rng.standard_normal(16) + 0.05 * rng.standard_normal((12, 16))
+        return Shown(np.repeat(np.where(rng.random((12, 16)) < 0.1, np.nan, tiles)[None], 3, axis=0))
+
+    model_slope, slope = 0.4 * (x - 7.5), 0.6 * (y - 5.5)
+    shown = [seen(model_slope) for _ in range(3)]
+    assert np.isnan(relief_beyond(seen(model_slope), shown).background_map).all()
+    left = averaged(relief_beyond(seen(model_slope, slope), shown).background_map)
+    tilt_y, tilt_x = (np.polyfit(at.ravel(), left.ravel(), 1)[0] for at in (y, x))
+    assert tilt_y == pytest.approx(0.6, abs=0.06)  # smoothed: 0.58 of sd 0.01
+    assert abs(tilt_x) < 0.2  # of the model's 0.4 columns leave 0 of sd 0.06
 
 
 def test_what_one_half_shows_does_not_depend_on_the_other():

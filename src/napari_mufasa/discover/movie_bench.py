@@ -18,10 +18,12 @@ from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.read_off import (
     DRIFTS,
+    RELIEFS,
     background_beyond,
     drift_beyond,
     in_scale_of,
     read_off,
+    relief_beyond,
     stands_still,
     told_for,
 )
@@ -80,7 +82,7 @@ class MovieBench(Bench[Observation]):
     ) -> None:
         self.measurement = measurement
         self._beyond: dict[str, dict[str, dict[str, Any]]] = {}
-        self._drifting: dict[str, Observation] = {}
+        self._left: dict[tuple[bool, str], Observation] = {}
         self._widths: dict[str, tuple[float, ...]] = {}
         dark_frames = 0 if measurement.dark is None else len(measurement.dark)
         self._simulated = SimulatedMovies(measurement.model, dark_frames)
@@ -127,7 +129,7 @@ class MovieBench(Bench[Observation]):
         if kind == "background_as_measured":
             found = self._background_beyond(beside or self.start)[part]
         else:
-            seen = self._beside_drifts(kind, beside or self.start)
+            seen = self._beside(kind, beside or self.start)
             found = read_off(kind, seen.only(part))
             if part != "all":
                 found = in_scale_of(read_off(kind, seen), found)
@@ -168,15 +170,18 @@ class MovieBench(Bench[Observation]):
             }
         return self._beyond[key]
 
-    def _beside_drifts(self, kind: str, model: Model) -> Observation:
-        """The measurement as an effect is read off it: of two that drift, each is what the other leaves."""
+    def _beside(self, kind: str, model: Model) -> Observation:
+        """The measurement as an effect is read off it: of two that drift, each is what the other leaves; and a relief
+        is what all others leave."""
         others = {effect.kind for effect in model.effects if effect.kind != kind}
-        if kind not in DRIFTS or others.isdisjoint({*DRIFTS, "background_as_measured"}):
+        drifts = kind in DRIFTS and not others.isdisjoint({*DRIFTS, "background_as_measured"})
+        if not (drifts or (kind in RELIEFS and others)):
             return self.measured
-        key = model.model_dump_json()
-        if key not in self._drifting:
-            self._drifting[key] = drift_beyond(self.measured, self._shown(model))
-        return self._drifting[key]
+        key = (drifts, model.model_dump_json())
+        if key not in self._left:
+            beyond = drift_beyond if drifts else relief_beyond
+            self._left[key] = beyond(self.measured, self._shown(model))
+        return self._left[key]
 
     def _shown(self, model: Model) -> list[Observation]:
         """A few simulations of a model, which are not kept."""

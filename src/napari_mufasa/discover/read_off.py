@@ -26,7 +26,8 @@ Reader = Callable[[Observation], dict[str, Any]]
 VALUES, FEWEST = 60, 5  # most values of a course, and frames for each: a walk is a walk, not flicker
 SLOW = 0.36  # mean square of a course's steps over its variance: of random walks 97 % have less, of 1/f noise 1.5 %
 LEAST_WEIGHT = 1e-6  # of known tiles under the smoothing window; less: too far from all of them
-SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴
+SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴; and
+# a map's over that which a model's own random patterns give it
 FEWEST_TILES = 12  # of the background's map that tell a relief
 RELIEF = (
     0.5  # variance of the smoothed map over that of what smoothing takes away: white noise on 12 × 12 tiles reached
@@ -277,6 +278,24 @@ def drift_beyond(observation: Observation, model: Sequence[Observation]) -> Obse
     return replace(observation, courses=observation.courses - expected + expected.mean(axis=1, keepdims=True))
 
 
+def relief_beyond(observation: Observation, model: Sequence[Observation]) -> Observation:
+    """The observation whose map has no more of a relief than what simulations of a model do not show; without a map
+    where the model's random patterns (columns, pixels) could be all there is in it: these would be copied."""
+    maps = _maps(model)
+    if len(maps) < 2 or np.isfinite(observation.background_map).sum() < FEWEST_TILES:
+        return observation
+    expected, by_chance = np.mean(maps, axis=0), np.var(maps, axis=0, ddof=1).mean()
+    beyond = observation.maps - expected + expected.mean()
+    if np.var(sharpened(beyond[0])) <= SEEN * by_chance:
+        beyond = np.full_like(beyond, np.nan)
+    return replace(observation, maps=beyond)
+
+
+def _maps(model: Sequence[Observation]) -> list[Array]:
+    """The background's map of each simulation that shows one, without its noise."""
+    return [sharpened(one.background_map) for one in model if np.isfinite(one.background_map).sum() >= FEWEST_TILES]
+
+
 def background_beyond(observation: Observation, model: Sequence[Observation]) -> dict[str, Any]:
     """`map`, `map_columns` and `course` of the background, relative to what simulations of a model show of it; ()
     where they show none."""
@@ -285,7 +304,7 @@ def background_beyond(observation: Observation, model: Sequence[Observation]) ->
     if np.all(expected > 0):
         course = _without_flicker(observation.course / expected)
         found["course"] = tuple((course / course.mean()).round(4).tolist())
-    maps = [sharpened(one.background_map) for one in model if np.isfinite(one.background_map).sum() >= FEWEST_TILES]
+    maps = _maps(model)
     expected_map = np.mean(maps, axis=0) if maps else np.zeros(1)
     if np.isfinite(observation.background_map).sum() >= FEWEST_TILES and np.all(expected_map > 0):
         relative = sharpened(observation.background_map) / expected_map
@@ -370,3 +389,4 @@ READERS: dict[str, Reader] = {
     "directed_motion": long_axis,
 }
 DRIFTS = frozenset(kind for kind, reader in READERS.items() if reader in (light_course, light_step_and_course))
+RELIEFS = frozenset(kind for kind, reader in READERS.items() if reader in (uneven_light, uneven_background))
