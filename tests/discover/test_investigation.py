@@ -302,17 +302,64 @@ def test_what_may_stand_in_for_another_is_told_by_one_fit_without_it(without, le
 def test_what_is_worth_little_of_what_moves_the_same_may_stand_in_for_it(content, evidence, moved, may):
     moves = {"strong": np.array([[9.0, 9.0, 0.0]]), "weak": np.array([moved])}
     worths = {"strong": Worth(1000.0, 5.0, 20.0), "weak": Worth(evidence, 3.0, 20.0)}
-    state = SimpleNamespace(spread=np.ones((1, 3)), at_floor=lambda x: False)
-    stand = SimpleNamespace(content=content, worths=worths, moved_by=moves.get, state=state, x=None)
+    stand = _two_effects(moves, worths, content)
     assert Stand.may_stand_in(stand, "weak") == may and not Stand.may_stand_in(stand, "strong")
+
+
+def _two_effects(moves, worths, content=False, at_floor=False, rivals=()):
+    state = SimpleNamespace(spread=np.ones((1, 3)), at_floor=lambda x: at_floor, floor=1.0)
+    return SimpleNamespace(
+        content=content, worths=worths, moved_by=moves.get, state=state, x=None, rivals_added=lambda kind: rivals
+    )
+
+
+def test_of_two_that_are_known_to_look_alike_the_lesser_may_stand_in_for_the_other():
+    moves = {kind: np.array([[9.0, 9.0, 0.0]]) for kind in ("molecule_diffusion", "long_dark_state")}
+    worths = {"molecule_diffusion": Worth(1000.0, 5.0, 20.0), "long_dark_state": Worth(500.0, 3.0, 20.0)}
+    for content in (True, False):
+        stand = _two_effects(moves, worths, content, rivals=list(worths))
+        assert Stand.may_stand_in(stand, "long_dark_state") and not Stand.may_stand_in(stand, "molecule_diffusion")
+    stand = SimpleNamespace(added=["molecule_diffusion", "row_noise", "long_dark_state"])
+    assert Stand.rivals_added(stand, "long_dark_state") == ["molecule_diffusion"]
+    assert Stand.rivals_added(stand, "row_noise") == []
+
+
+@pytest.mark.parametrize(
+    ("without", "rivals", "followed"),
+    [(1.3, [], True), (1.4, [], False), (1.4, ["other"], True), (2.6, ["other"], False)],
+)
+def test_a_whole_fit_goes_on_downhill_where_it_ends_near_the_floor_or_beside_a_rival(
+    without, rivals, followed, monkeypatch
+):
+    """Simulations of where it has led say that the effect is worth 100; from there the way goes on to where it is worth
+    nothing."""
+
+    def stood(misfit, error):
+        state = SimpleNamespace(floor=1.0, misfit=lambda x: misfit, held_out_error=lambda x: error, model=None)
+        state.score = state.misfit
+        return SimpleNamespace(state=state, misfit=misfit, error=error)
+
+    near, further = stood(150.0, without), stood(50.0, 1.0)
+    stand = stood(50.0, 1.0)
+    stand.library, stand.x, stand.rivals_added = None, None, lambda kind: rivals
+    stand.is_worth = lambda worth: worth.is_some and stand.error * 1.04 < worth.error_without
+    monkeypatch.setattr(steps.joint, "removed", lambda library, *kinds: None)
+    monkeypatch.setattr(steps.joint, "brought", lambda *_: near.state)
+    monkeypatch.setattr(steps.joint, "seen_from", lambda *_: near)
+    monkeypatch.setattr(steps.joint, "deepened", lambda *_: further)
+    inquiry = SimpleNamespace(
+        stand=stand, kinds=[], left=1000, bench=SimpleNamespace(plan=lambda n: None),
+        _settling=lambda n: 0, _seen_in=lambda library: library,
+    )  # fmt: skip
+    worth, lesser = steps.Steps._lesser(inquiry, ["one"], 20.0)
+    assert (worth.evidence, lesser) == ((0.0, further) if followed else (100.0, None))
 
 
 @pytest.mark.parametrize(("at_floor", "without", "may"), [(True, 1.3, True), (True, 1.4, False), (False, 1.3, False)])
 def test_at_the_floor_what_hardly_leaves_it_is_told_by_a_whole_fit_whatever_its_evidence(at_floor, without, may):
     worths = {"strong": Worth(1000.0, 5.0, 20.0), "weak": Worth(500.0, without, 20.0)}
     moves = {"strong": np.array([[9.0, 9.0, 0.0]]), "weak": np.array([[2.0, 2.0, 0.0]])}
-    state = SimpleNamespace(spread=np.ones((1, 3)), at_floor=lambda x: at_floor, floor=1.0)
-    stand = SimpleNamespace(content=False, worths=worths, moved_by=moves.get, state=state, x=None)
+    stand = _two_effects(moves, worths, at_floor=at_floor)
     assert Stand.may_stand_in(stand, "weak") == may and not Stand.may_stand_in(stand, "strong")
 
 

@@ -243,14 +243,21 @@ class Stand:
 
     def may_stand_in(self, kind: str) -> bool:
         """Is an effect worth so little of another that it may make up for where the values of that one have come to:
-        while misfit is left, of one that moves the same, and ever of one that takes back much of what it does? And, at
-        the floor, is the model so near it without the effect that the values of the others may do?"""
+        of a known rival in the model; while misfit is left, of one that moves the same, and ever of one that takes back
+        much of what it does? And, at the floor, is the model so near it without the effect that the values of the
+        others may do?"""
         if self.state.at_floor(self.x) and self.worths[kind].error_without < FAR * self.state.floor:
             return True
         worth, moved, spread = self.worths[kind].evidence, self.moved_by(kind), self.state.spread
+        if any(worth < self.worths[rival].evidence for rival in self.rivals_added(kind)):
+            return True
         great = [self.moved_by(k) for k, other in self.worths.items() if worth < FORM_WORTH * other.evidence]
         same = not self.content and any(_shared(moved, by, spread) > ALIKE for by in great)
         return same or any(_taken_back(moved, by, spread) > FORM_WORTH for by in great)
+
+    def rivals_added(self, kind: str) -> list[str]:
+        """The effects in the model that are known to look like one of them."""
+        return [other for other in self.added if are_rivals(kind, other)]
 
     def confirming(self, kind: str, worth: Worth) -> Stand:
         """The same stand with what is known of one effect."""

@@ -14,6 +14,7 @@ from napari_mufasa.discover.rules import (
     CLEAR,
     FAR,
     FAR_LESS,
+    FAR_OFF,
     FORM_WORTH,
     NEAR,
     NOT_RISEN,
@@ -238,14 +239,17 @@ class Steps(Standing):
 
     def _lesser(self, kinds: Sequence[str], needed: float) -> tuple[Worth, Stand | None]:
         """What effects are worth by a whole fit without them, and the stand without them where that is too little. Its
-        neighbourhood is simulated where a few simulations leave that in doubt."""
+        neighbourhood is simulated, and the way downhill from there followed, where a few simulations leave that in
+        doubt, or end near the floor: the others may do without them, and slopes taken beside them need not show how."""
         stand, x = self.stand, self.stand.x
         self.bench.plan(REMOVALS + self._settling(0))
         there = joint.brought(stand.library, joint.removed(stand.library, *kinds), x, self.kinds, self.left)
         worth = Worth(there.misfit(x) - stand.misfit, there.held_out_error(x), needed)
-        if worth.evidence > CLEAR * needed and stand.is_worth(worth):
+        far = worth.error_without > (FAR_OFF if any(map(stand.rivals_added, kinds)) else FAR) * stand.state.floor
+        if far and worth.evidence > CLEAR * needed and stand.is_worth(worth):
             return worth, None
-        lesser = self._seen_in(joint.seen_from(stand.library, there.model, self.kinds))
+        near = joint.seen_from(stand.library, there.model, self.kinds)
+        lesser = self._seen_in(near if far else joint.deepened(near, x, self.kinds, self.left) or near)
         worth = _worth_beside(stand, lesser, needed)
         return worth, None if stand.is_worth(worth) else lesser
 

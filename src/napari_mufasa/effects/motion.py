@@ -96,7 +96,7 @@ class MoleculeDiffusion(Effect):
     what_it_does = "Each spot wanders in its own direction and leaves its place."
     how_to_check = "Track single spots; fix the sample as control."
     observables = ("individual_shift", "spot_width", "ensemble", "first_seen")
-    rivals = ("stage_drift", "directed_motion", "delayed_activation", "triplet_blinking")
+    rivals = ("stage_drift", "directed_motion", "delayed_activation", "triplet_blinking", "long_dark_state")
     separated_by = "the mean square displacement that molecules do not share"
 
     diffusion_px2_per_frame: float = parameter(
