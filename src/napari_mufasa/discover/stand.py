@@ -133,10 +133,11 @@ class Stand:
         return found
 
     def _vies(self, lead: Lead, best: Lead) -> bool:
-        """Does a lead promise about as much as the best, and move the same things as far, or is it known to look like
-        it? One whose settings end where it promises most may come to more than it promises."""
+        """Does a lead promise about as much as the best, and move the same things as far, or is it, where little else
+        is wrong, known to look like it? One whose settings end where it promises most may come to more than it
+        promises."""
         share = FORM_WORTH if lead.may_be_stronger and not best.may_be_stronger else RIVAL
-        alike = are_rivals(lead.ray.effect.kind, best.ray.effect.kind)
+        alike = not self.far_off and are_rivals(lead.ray.effect.kind, best.ray.effect.kind)
         return lead.gain > share * best.gain and (alike or _shared(lead.shift, best.shift, self.state.spread) > ALIKE)
 
     def _least(self, lead: Lead, taken: Sequence[Lead]) -> float:
