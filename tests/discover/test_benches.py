@@ -101,6 +101,23 @@ def test_of_two_that_drift_each_is_what_the_other_leaves():
     assert bench.done == before  # nothing is simulated for what does not drift with the light
 
 
+def test_beside_columns_at_random_their_pattern_is_no_relief_and_a_hump_is():
+    """Of columns 400 ADU apart (rms) one movie in four passes for a relief: this one. Beside a model of such columns it
+    is none (nor are the other three), and a hump of three times the background is one in all four."""
+    columns = effect_class("column_offset")(rms_adu=400.0)
+    hump = effect_class("background_gradient")(relative_height=3.0, form="hump", width=0.3)
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 60, "acquisition.shape_px": (96, 96), "sample.n_molecules": 20}
+    )
+
+    def seen(*effects):
+        bench = MovieBench(prepare(nm.simulate(model.with_effects(*effects), seed=3).movie, model, None), 1)
+        return [bench.read_off(hump.kind, bench.start.with_effects(*beside))["seen"] for beside in ((), (columns,))]
+
+    alone, beside = seen(columns)
+    assert alone and not beside and all(seen(columns, hump))
+
+
 class GapBench(Bench):
     """Noise, of which some numbers are not to be had: "o3" not in the measurement, "o5" not in every simulation of the
     base model, "o7" not where there are hot pixels."""
