@@ -29,10 +29,8 @@ LEAST_WEIGHT = 1e-6  # of known tiles under the smoothing window; less: too far 
 SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴; and
 # a map's over that which a model's own random patterns give it
 FEWEST_TILES = 12  # of the background's map that tell a relief
-RELIEF = (
-    0.5  # variance of the smoothed map over that of what smoothing takes away: white noise on 12 × 12 tiles reached
-)
-# 0.42 at most in 20 000 draws, on 6 × 6 tiles one in 80 passes
+RELIEF = 0.5  # variance of the smoothed map over that of what smoothing takes away: white noise on 12 × 12 tiles
+# reached 0.42 at most in 20 000 draws, on 6 × 6 tiles one in 80 passes
 CURVATURE = np.outer((1, -2, 1), (1, -2, 1))  # of it 36 times the variance of white noise is left, of slopes nothing
 NOISE_LOST = 0.76  # of the variance of white noise, that an average over tiles takes away
 PATH_VALUES, PRECISE_PX = 30, 0.03  # most values of a path, and how precise each should be
