@@ -207,6 +207,16 @@ def test_what_is_doubtful_stays_while_only_what_is_surely_useless_shall_go(monke
     assert set(inquiry.chosen) == MISSING
 
 
+def test_what_is_surely_useless_goes_on_the_way_without_a_fit():
+    """The simulations are for what comes next: the neighbourhood is that of before, and the others stay worth it."""
+    inquiry = investigation()
+    inquiry.add(*HIDDEN, effect_class("column_offset")(rms_adu=0.01))
+    stood, before, inquiry.reserve = inquiry.stand, inquiry.bench.done, 1  # on either way
+    assert inquiry.prune(sure=True) == {"column_offset"} and set(inquiry.chosen) == MISSING
+    assert inquiry.bench.done - before <= len(stood.added) * steps.REMOVALS
+    assert inquiry.stand.error == pytest.approx(stood.error, rel=0.03)
+
+
 def test_no_name_that_does_nothing_is_told_though_the_budget_is_spent():
     """There is no fit without it then: it goes, and all else stays where it is."""
     inquiry = investigation()
@@ -337,11 +347,11 @@ def test_a_whole_fit_goes_on_downhill_where_it_ends_near_the_floor_or_beside_a_r
     def stood(misfit, error):
         state = SimpleNamespace(floor=1.0, misfit=lambda x: misfit, held_out_error=lambda x: error, model=None)
         state.score = state.misfit
-        return SimpleNamespace(state=state, misfit=misfit, error=error)
+        return SimpleNamespace(state=state, misfit=misfit, error=error, library=None)
 
     near, further = stood(150.0, without), stood(50.0, 1.0)
     stand = stood(50.0, 1.0)
-    stand.library, stand.x, stand.rivals_added = None, None, lambda kind: rivals
+    stand.x, stand.rivals_added = None, lambda kind: rivals
     stand.is_worth = lambda worth: worth.is_some and stand.error * 1.04 < worth.error_without
     monkeypatch.setattr(steps.joint, "removed", lambda library, *kinds: None)
     monkeypatch.setattr(steps.joint, "brought", lambda *_: near.state)

@@ -356,6 +356,17 @@ def test_forms_judged_apart_are_told_by_their_ladders_not_by_what_one_strength_p
     assert found[True].misfit(stand.x) < found[False].misfit(stand.x)
 
 
+def test_a_ladder_of_strengths_ends_where_their_range_does(bench):
+    """A strength that chance or something else drives on would run away, and nothing leads back from there."""
+    believed = bench.start
+    most = next(c.high for c in Coordinate.of(ROWS(rms_adu=1.0), believed))
+    stand = stand_of(bench, believed.with_effects(ROWS(rms_adu=10 * most)))
+    found = begun(stand.library, stand.state, [ROWS(rms_adu=0.6 * most)], stand.x).model.effects[-1].rms_adu
+    assert found == pytest.approx(most)
+    beyond = begun(stand.library, stand.state, [ROWS(rms_adu=2 * most)], stand.x).model.effects[-1].rms_adu
+    assert beyond == pytest.approx(2 * most)  # where it starts, it may stay
+
+
 class BentBench(ToyBench):
     """With hot pixels more light lowers what it raises without them: the base model's derivative leads astray."""
 

@@ -48,8 +48,10 @@ class Coordinate:
 
     def value_at(self, effect: Effect, by: float) -> float:
         value = float(getattr(effect, self.name))
-        new = value * float(np.exp(by)) if self.log else value + by * self.unit
-        # Where it is beyond the range already, it may stay there.
+        return self.kept(value * float(np.exp(by)) if self.log else value + by * self.unit, value)
+
+    def kept(self, new: float, value: float) -> float:
+        """A new value kept within the range, where the value is not beyond that already."""
         return float(np.clip(new, min(self.low, value), max(self.high, value)))
 
     def room(self, effect: Effect) -> tuple[float, float]:

@@ -79,11 +79,16 @@ def _best_shapes(library: Library, state: State, starts: Sequence[Effect], known
 
 def _climbed(library: Library, state: State, start: Effect, x: Array) -> tuple[Effect, float]:
     """`start` at the best of a ladder of strengths, each simulated once, and the misfit there; it grows while its end
-    is best."""
+    is best, and ends where the strength's range does."""
     none = start.none_at(state.model)
+    strength = [c for c in Coordinate.of(start, state.model) if c.name == start.strength]
+
+    def rung(factor: float) -> Effect:
+        there = scaled(start, factor, none)
+        return changed(there, {c.name: c.kept(getattr(there, c.name), getattr(start, c.name)) for c in strength})
 
     def misfits(factors: list[float]) -> dict[float, float]:
-        rows = library.simulated([(library.beside(state, scaled(start, f, none)), k) for k, f in enumerate(factors)])
+        rows = library.simulated([(library.beside(state, rung(f)), k) for k, f in enumerate(factors)])
         shift = rows - library.rows[: len(factors)]
         return {f: replace(state, mean=library.base.mean + s).misfit(x) for f, s in zip(factors, shift, strict=True)}
 
@@ -94,7 +99,7 @@ def _climbed(library: Library, state: State, start: Effect, x: Array) -> tuple[E
             break
         found |= misfits([best * LADDER if best > 1 else best / LADDER])
     best = min(found, key=lambda f: found[f])
-    return scaled(start, best, none), found[best]
+    return rung(best), found[best]
 
 
 def _linearised(library: Library, state: State, effect: Effect, known: set[str]) -> State:

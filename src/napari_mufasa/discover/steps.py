@@ -108,9 +108,10 @@ class Steps(Standing):
 
     def prune(self, sure: bool = False) -> set[str]:
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
-        worth what one needs, then one by one (not where only what is `sure` shall go); what only a whole fit without
-        them can tell is told by one. Where the budget affords none, what is worth far less goes all the same, the least
-        first, all else where it is; but not while some of it is kept for later. Returns the kinds taken out."""
+        worth what one needs, then one by one; what only a whole fit without them can tell is told by one. Where only
+        what is `sure` shall go, or the budget affords no fit, what is worth far less goes, the least first, all else
+        where it is (not at the end of a way while some of the budget is kept for another). Returns the kinds taken
+        out."""
         dropped: set[str] = set()
         at_once = True
         while self.chosen:
@@ -127,14 +128,12 @@ class Steps(Standing):
                 return dropped | set(doubtful)
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
             far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
-            if not self.affords(0):
-                if not far_less or self.reserve:
+            if sure or not self.affords(0):
+                if not far_less or (self.reserve and not sure):
                     break
                 self.stands[-1] = self._seen_in(joint.left_out(stand.library, far_less[0]))
                 dropped.add(far_less[0])
                 continue
-            if sure and not (at_once and far_less):
-                break
             kinds = far_less if at_once and 0 < len(far_less) < len(stand.added) else order[:1]
             worth, lesser = self._lesser(kinds, max(doubtful[k].needed for k in kinds))
             if lesser is not None:
@@ -239,8 +238,9 @@ class Steps(Standing):
 
     def _lesser(self, kinds: Sequence[str], needed: float) -> tuple[Worth, Stand | None]:
         """What effects are worth by a whole fit without them, and the stand without them where that is too little. Its
-        neighbourhood is simulated, and the way downhill from there followed, where a few simulations leave that in
-        doubt, or end near the floor: the others may do without them, and slopes taken beside them need not show how."""
+        neighbourhood is simulated where a few simulations leave that in doubt, or end near the floor; what is worth
+        its place there, too, is worth it at the end of the way downhill: the others may do without it, and slopes taken
+        beside it need not show how."""
         stand, x = self.stand, self.stand.x
         self.bench.plan(REMOVALS + self._settling(0))
         there = joint.brought(stand.library, joint.removed(stand.library, *kinds), x, self.kinds, self.left)
@@ -248,9 +248,11 @@ class Steps(Standing):
         far = worth.error_without > (FAR_OFF if any(map(stand.rivals_added, kinds)) else FAR) * stand.state.floor
         if far and worth.evidence > CLEAR * needed and stand.is_worth(worth):
             return worth, None
-        near = joint.seen_from(stand.library, there.model, self.kinds)
-        lesser = self._seen_in(near if far else joint.deepened(near, x, self.kinds, self.left) or near)
+        lesser = self._seen_in(joint.seen_from(stand.library, there.model, self.kinds))
         worth = _worth_beside(stand, lesser, needed)
+        if stand.is_worth(worth) and not far and (near := joint.deepened(lesser.library, x, self.kinds, self.left)):
+            lesser = self._seen_in(near)
+            worth = _worth_beside(stand, lesser, needed)
         return worth, None if stand.is_worth(worth) else lesser
 
     def _begun_without(self, kind: str, cases: Sequence[Case]) -> list[State]:
