@@ -329,6 +329,42 @@ def test_one_effect_in_another_form_takes_the_place_of_two_rivals(monkeypatch, r
     assert asked.chosen == left and (len(left) == 2 or asked.state.model.effects[0].form == "steady")
 
 
+class SumBench(ToyBench):
+    """Columns show as hot pixels and row noise together do."""
+
+    def law(self, model):
+        columns = [effect for effect in model.effects if effect.kind == "column_offset"]
+        others = tuple(effect for effect in model.effects if effect.kind != "column_offset")
+        together = sum(np.log1p(e.rms_adu) for e in columns) * (self.one + self.three)
+        return super().law(model.model_copy(update={"effects": others})) + together
+
+
+@pytest.mark.parametrize(
+    ("rivals", "rows_adu", "left"),
+    [
+        (("hot_pixels", "row_noise"), 0.0, ["column_offset"]),
+        (("hot_pixels",), 0.0, ["hot_pixels", "row_noise"]),
+        (("hot_pixels", "row_noise"), 9.0, ["hot_pixels", "row_noise"]),
+    ],
+)
+def test_what_is_known_to_look_like_two_takes_their_place_where_it_explains_as_much(
+    monkeypatch, rivals, rows_adu, left
+):
+    columns = effect_class("column_offset")
+    monkeypatch.setattr(columns, "rivals", rivals)
+    for effect in (HOT, ROWS):
+        monkeypatch.setattr(effect, "rivals", ())
+    monkeypatch.setattr(steps, "FORM_WORTH", 1.0)
+    bench = SumBench()
+    hidden = [columns(rms_adu=1.0)] + [ROWS(rms_adu=rows_adu)] * (rows_adu > 0)
+    stand = stand_of(bench, bench.start.with_effects(*hidden))
+    state = begun(stand.library, stand.state, [HOT(fraction=1e-3, electrons=10.0)], stand.x)
+    asked = steps.Steps(bench, bench.start, 10_000, KINDS, [])
+    asked.stands = [stand, after(stand, begun(stand.library, state, [ROWS(rms_adu=1.0)], stand.x))]
+    assert asked.chosen == ["hot_pixels", "row_noise"] and asked.merge() == (len(left) == 1)
+    assert asked.chosen == left
+
+
 class WindingBench(ToyBench):
     """What switching pixels do turns with their number, so that a strong setting says nothing of a weak one."""
 

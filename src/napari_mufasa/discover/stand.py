@@ -261,6 +261,15 @@ class Stand:
         """The effects in the model that are known to look like one of them."""
         return [other for other in self.added if are_rivals(kind, other)]
 
+    def like_both(self, kind: str, other: str) -> dict[str, list[Ray]]:
+        """The settings of what is not in the model, has a law of its own, and is known to look like two that are."""
+        return {
+            k: rays
+            for k, rays in self.library.rays.items()
+            if k not in self.added and are_rivals(k, kind) and are_rivals(k, other)
+            if rays and not effect_class(k).describes_only
+        }
+
     def confirming(self, kind: str, worth: Worth) -> Stand:
         """The same stand with what is known of one effect."""
         confirmed = tuple((k, w) for k, w in self.confirmed if k != kind)

@@ -169,8 +169,9 @@ class Steps(Standing):
         )
 
     def merge(self) -> bool:
-        """Try another form of an effect in the place of itself and of a rival that is worth no more than another form
-        may be; keep it where the rival is then not worth its place."""
+        """Try one effect in the place of two, the lesser of which is worth no more than a form may be: another form of
+        one that the other is a rival of, or what is known to look like both; keep it where two are not worth their
+        place beside one."""
         stand = self.stand
         explained = self.first.misfit - stand.misfit
         for kind in sorted(stand.added, key=lambda kind: stand.worths[kind].evidence):
@@ -178,7 +179,7 @@ class Steps(Standing):
             if worth.evidence > FORM_WORTH * explained:
                 break
             for other in stand.added:
-                if are_rivals(kind, other) and self.affords(0):
+                if other != kind and self.affords(1):
                     lesser = self._merged(other, kind, worth.needed)
                     if lesser is not None:
                         self.stands[-1] = lesser
@@ -277,18 +278,23 @@ class Steps(Standing):
             known[kind] = begun(stand.library, stand.without(kind), others, stand.x, apart=True) if others else None
         return known[kind]
 
-    def _merged(self, kind: str, spared: str, needed: float) -> Stand | None:
-        """The stand without `spared` and with an effect in the best of its other forms, if `spared` is not worth there
-        what it needs."""
-        stand = self.stand
-        if not (others := _other_forms(stand.state.model, kind)):
+    def _merged(self, kind: str, lesser: str, needed: float) -> Stand | None:
+        """The stand with one effect in the place of two, if the two are not worth there what they need."""
+        stand, x = self.stand, self.stand.x
+        alike = stand.like_both(kind, lesser)
+        forms = _other_forms(stand.state.model, kind) if are_rivals(kind, lesser) else []
+        if not alike and not forms:
             return None
-        state = begun(stand.library, joint.removed(stand.library, kind, spared), others, stand.x, apart=True)
-        if not self._settle(state, below=stand.misfit + needed):
+        bare = joint.removed(stand.library, kind, lesser)
+        tries = [started(stand.library, bare, case, x) for case in bare.screen(x, alike).values()]
+        if forms:
+            tries.append(begun(stand.library, bare, forms, x, apart=True))
+        best = min(tries, key=lambda tried: tried.surprise(x))
+        if not self._settle(best, below=stand.misfit + needed):
             return None
-        lesser = self.stands.pop()
-        risen = lesser.error > NOT_RISEN * stand.error
-        return None if risen or stand.is_worth(_worth_beside(stand, lesser, needed)) else lesser
+        merged = self.stands.pop()
+        risen = merged.error > NOT_RISEN * stand.error
+        return None if risen or stand.is_worth(_worth_beside(stand, merged, needed)) else merged
 
     def _note_rivals(self, kind: str, tries: Sequence[State]) -> None:
         """Note what was begun in the place of an effect and cannot be told from it; the more misfit is left, the

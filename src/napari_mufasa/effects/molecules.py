@@ -185,7 +185,7 @@ class BrightnessWander(Effect):
     what_it_does = "Levels of single traces wander over many frames, up and down, and not in unison."
     how_to_check = "Compare neighbours: they wander independently; rotate the polarisation or fix the molecules."
     observables = ("autocorrelation", "level_trend", "level_spread", "count")
-    rivals = ("brightness_heterogeneity", "level_switching", "molecule_diffusion", "laser_drift")
+    rivals = ("brightness_heterogeneity", "multiple_emitters", "level_switching", "molecule_diffusion", "laser_drift")
     separated_by = "the covariance of single traces at long lags, without gaps and not shared by molecules"
 
     rms: float = parameter(
