@@ -261,13 +261,18 @@ def test_what_promises_nothing_more_beside_those_begun_is_not_begun(bench):
     assert [effect.kind for effect in taken[0].model.effects] == ["row_noise"]
 
 
-def test_what_moves_the_same_as_an_effect_in_the_model_waits_for_its_forms(bench):
+def test_what_moves_the_same_as_an_effect_in_the_model_waits_for_its_forms(bench, monkeypatch):
     """Column offsets look like row noise, hot pixels like neither."""
     stand = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0), HOT(fraction=5e-3, electrons=10.0)))
     found = after(stand, begun(stand.library, stand.state, [ROWS(rms_adu=3.0)], stand.x))
     hot, columns = (found.leads[kind][0] for kind in ("hot_pixels", "column_offset"))
     assert found.kin(hot) == set() and found.stands_apart(hot)
     assert found.kin(columns) == {"row_noise"} and not found.stands_apart(replace(columns, gain=hot.gain))
+    monkeypatch.setattr(ROWS, "rivals", ("hot_pixels",))  # known to look alike, whatever it moves
+    near, far = (replace(found) for _ in range(2))
+    near.__dict__["far_off"], far.__dict__["far_off"] = False, True
+    assert near.kin(hot) == {"row_noise"} and not near.stands_apart(hot)
+    assert far.kin(hot) == set()  # much else is wrong
     assert not found.stands_apart(replace(hot, gain=0.05 * found.misfit))  # little of what is left
 
 

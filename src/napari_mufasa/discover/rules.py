@@ -30,7 +30,7 @@ PLAIN = 15.0  # −2 log likelihood by which another form must be better than th
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
 BESIDE = 0.4  # of the best lead's evidence: what promises less and moves the same waits until that one is in the model
 FORM_FIRST = 0.3  # of the misfit left: leads that promise less wait until forms of what is in the model have been
-# tried; so do those that move what an effect in the model moves
+# tried; so do those that move what an effect in the model moves, or are known to look like it
 RIVAL = 0.5  # of what an effect is worth, or promises: what would explain so much of it in its place is tried there
 RIVALS = 2  # … but no more of them
 ALIKE = 0.5  # of what two effects move: so much the same, and one may stand in the place of the other

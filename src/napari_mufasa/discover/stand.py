@@ -179,9 +179,11 @@ class Stand:
         return lead.gain > FORM_FIRST * left and not self.kin(lead)
 
     def kin(self, lead: Lead) -> set[str]:
-        """The effects in the model that move as far what it moves: it may promise what their form has left."""
+        """The effects in the model that move as far what it moves or, where little else is wrong, are known to look
+        like it: it may promise what their form has left."""
         spread = self.state.spread
-        return {kind for kind in self.added if _shared(lead.shift, self.moved_by(kind), spread) > ALIKE}
+        known = set() if self.far_off else set(self.rivals_added(lead.ray.effect.kind))
+        return known | {kind for kind in self.added if _shared(lead.shift, self.moved_by(kind), spread) > ALIKE}
 
     def rivals_of(self, kind: str) -> list[Case]:
         """What promises much of what an added effect is worth, in its place, and of what is known to look like it, a
