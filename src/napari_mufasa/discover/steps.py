@@ -239,8 +239,8 @@ class Steps(Standing):
 
     def _lesser(self, kinds: Sequence[str], needed: float) -> tuple[Worth, Stand | None]:
         """What effects are worth by a whole fit without them, and the stand without them where that is too little. Its
-        neighbourhood is simulated where a few simulations leave that in doubt, or end near the floor; what is worth
-        its place there, too, is worth it at the end of the way downhill: the others may do without it, and slopes taken
+        neighbourhood is simulated where a few simulations leave that in doubt, or end near the floor; there, what still
+        is worth its place is judged at the end of the way downhill: the others may do without it, and slopes taken
         beside it need not show how."""
         stand, x = self.stand, self.stand.x
         self.bench.plan(REMOVALS + self._settling(0))
@@ -279,9 +279,11 @@ class Steps(Standing):
         return known[kind]
 
     def _merged(self, kind: str, lesser: str, needed: float) -> Stand | None:
-        """The stand with one effect in the place of two, if the two are not worth there what they need."""
+        """The stand with one effect in the place of two, if the two are not worth there what they need. What looks like
+        both is tried once, in the place of an effect and a lesser one."""
         stand, x = self.stand, self.stand.x
-        alike = stand.like_both(kind, lesser)
+        once = stand.worths[lesser].evidence <= stand.worths[kind].evidence
+        alike = stand.like_both(kind, lesser) if once else {}
         forms = _other_forms(stand.state.model, kind) if are_rivals(kind, lesser) else []
         if not alike and not forms:
             return None
