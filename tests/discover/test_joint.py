@@ -268,12 +268,12 @@ def test_what_moves_the_same_as_an_effect_in_the_model_waits_for_its_forms(bench
     hot, columns = (found.leads[kind][0] for kind in ("hot_pixels", "column_offset"))
     assert found.kin(hot) == set() and found.stands_apart(hot)
     assert found.kin(columns) == {"row_noise"} and not found.stands_apart(replace(columns, gain=hot.gain))
+    assert not found.stands_apart(replace(hot, gain=0.05 * found.misfit))  # little of what is left
     monkeypatch.setattr(ROWS, "rivals", ("hot_pixels",))  # known to look alike, whatever it moves
     near, far = (replace(found) for _ in range(2))
     near.__dict__["far_off"], far.__dict__["far_off"] = False, True
     assert near.kin(hot) == {"row_noise"} and not near.stands_apart(hot)
     assert far.kin(hot) == set()  # much else is wrong
-    assert not found.stands_apart(replace(hot, gain=0.05 * found.misfit))  # little of what is left
 
 
 def test_a_lead_whose_settings_end_before_it_is_at_its_best_vies_with_less(bench):
