@@ -41,6 +41,7 @@ ERRORS = ROOT / "benchmarks" / "results" / "real_movies.json"  # what docs/galle
 NAMES = ("smfret_ixon_emccd.tif", "polymerase_ixon888_emccd.tif", "yeast_slimfield_emccd.tif")
 INJECTED = "Known disturbances"  # what benchmarks/injected.py adds to the page
 TITLES = (*NAMES, INJECTED)
+SIMULATED = 3  # movies of a completed model, in which molecules are counted
 
 
 def movies() -> Iterator[tuple[str, Any, nm.Model, Any, dict[str, Any]]]:
@@ -103,15 +104,28 @@ def distance(movie: Any, model: nm.Model, dark: Any, what: str, options: dict[st
 def distances_of(
     movie: Any, believed: nm.Model, completed: nm.Model, dark: Any, rules: dict[str, Any], seed: int = 0
 ) -> list[str]:
-    """W1 of a movie's traces against two models; against the completed one also in the part that was looked at."""
+    """W1 of a movie's traces against two models, and how many molecules the movie and the completed model show; that
+    also in the part that was looked at."""
     told = [
         distance(movie, believed, dark, "model believed", rules, seed),
         distance(movie, completed, dark, "completed model", rules, seed),
+        counted(movie, completed, dark, "", rules),
     ]
     part = prepare(movie, believed, dark)
     if not part.part.is_whole:
-        told.append(distance(part.movie, cropped(completed), part.dark, "there, in the part looked at", rules, seed))
+        there = cropped(completed)
+        told.append(distance(part.movie, there, part.dark, "there, in the part looked at", rules, seed))
+        told.append(counted(part.movie, there, part.dark, " in the part looked at", rules))
     return [f"* {line}" for line in told]
+
+
+def counted(movie: Any, model: nm.Model, dark: Any, where: str, rules: dict[str, Any]) -> str:
+    """How many molecules' traces are kept in a movie, and in movies of a model, in words."""
+    simulated = (nm.simulate(model, seed=k).movie for k in range(SIMULATED))
+    measured, *kept = (len(extract_traces(m, model.camera, dark, **rules).traces) for m in (movie, *simulated))
+    return (
+        f"Molecules kept{where}: {measured}; in {SIMULATED} movies of the completed model {', '.join(map(str, kept))}"
+    )
 
 
 def fitted_with(

@@ -42,7 +42,7 @@ def test_a_script_draws_its_pictures(name, tmp_path, monkeypatch):
     folder = ROOT / "docs" / "images" / ("effects" if name == "fingerprints" else "gallery")
     for path in tmp_path.iterdir():
         with Image.open(path) as drawn, Image.open(folder / path.name) as kept:
-            assert len(set(drawn.convert("L").getdata())) > 10  # more than a blank page
+            assert len(drawn.convert("L").getcolors()) > 10  # more than a blank page
             assert abs(kept.width / kept.height - drawn.width / drawn.height) < 0.2  # of the same make
 
 
