@@ -8,7 +8,9 @@ import pytest
 import zarr
 
 import napari_mufasa as nm
+from napari_mufasa import camera as cam
 from napari_mufasa.denoise import pure_let_movie, reel, temporal
+from napari_mufasa.denoise.pipeline import read_variance
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model.setup import Camera
 
@@ -52,6 +54,39 @@ def test_the_mean_is_unbiased_down_to_half_a_photon(camera, method):
     truth *= 0.5 / truth.mean()
     out = nm.denoise(record(truth, camera, rng), camera, method=method)
     assert out.mean(dtype=float) / truth.mean() == pytest.approx(1.0, abs=0.016)
+
+
+COARSE = CCD.model_copy(update={"read_noise_e": 6.0, "electrons_per_adu": 12.0})
+
+
+@pytest.mark.parametrize("kernel", [(), (-0.2,)])
+def test_the_noise_is_that_of_the_data_where_the_converter_is_coarse(kernel):
+    # 60 x 64 x 64 values: the standard error of a variance is 0.3 %; without the rounding it would be off by a fifth.
+    camera = COARSE.model_copy(update={"readout_kernel": kernel})
+    light = camera.quantum_efficiency * 20
+    electrons = np.random.default_rng(1).poisson(light, (60, 64, 80)).astype(float)
+    mixed = (electrons + sum(kernel) * np.roll(electrons, 1, axis=2)) / (1 + sum(kernel))
+    mixed += np.random.default_rng(2).normal(0, camera.read_noise_e, mixed.shape)
+    counts = (np.floor(mixed / camera.electrons_per_adu) + camera.baseline_adu).astype(np.uint16)
+    seen = cam.photoelectrons(counts, camera)[..., 16:]
+    told = light + read_variance(seen[0], camera).mean()
+    assert seen.var(dtype=float) / told == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_coarse_converter_takes_little_of_what_denoising_gains():
+    truth = blobs() * 20.0
+    counts = record(truth, COARSE, np.random.default_rng(3))
+    errors = {m: np.mean((nm.denoise(counts, COARSE, method=m) - truth) ** 2) for m in ("none", "pure-let-movie")}
+    assert errors["pure-let-movie"] < 0.02 * errors["none"]
+
+
+def test_a_movie_whose_noise_is_not_the_cameras_is_left_as_it_was_recorded():
+    # Blinking: read noise of less than a tenth of a count, so that counts are no sum of light and noise.
+    model = nm.preset("Blinking").with_values({"acquisition.n_frames": 20, "acquisition.shape_px": [128, 128]})
+    movie = nm.simulate(model, seed=1).movie
+    with pytest.warns(UserWarning, match="left as it was recorded"):
+        found = nm.denoise(movie, model.camera)
+    np.testing.assert_array_equal(found, nm.denoise(movie, model.camera, method="none"))
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0])

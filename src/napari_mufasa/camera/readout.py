@@ -63,20 +63,25 @@ def undone_along_rows(mixed: Stack, weights: Array) -> Stack:
 
 def undone_noise_power(camera: Camera) -> float:
     """By what factor undoing the kernel of the signal changes the variance of the read noise; 1 without kernels."""
-    return float(np.sum(_undone_noise(camera) ** 2))
+    return float(np.sum(_undone(camera, noise_weights(camera)) ** 2))
+
+
+def undone_rounding_power(camera: Camera) -> float:
+    """The same for what the converter rounds off, which no kernel has passed."""
+    return float(np.sum(_undone(camera, np.ones(1)) ** 2))
 
 
 def undone_noise_correlation(camera: Camera, lags: int = 4) -> Array:
     """Correlations along a row of the read noise once the signal's kernel is undone, lags 1 … (lag,)."""
-    response = _undone_noise(camera)
+    response = _undone(camera, noise_weights(camera))
     products = np.array([np.sum(response[lag:] * response[: len(response) - lag]) for lag in range(lags + 1)])
     found: Array = products[1:] / products[0]
     return found
 
 
-def _undone_noise(camera: Camera) -> Array:
+def _undone(camera: Camera, weights: Array) -> Array:
+    """The kernel `weights` of a noise once that of the signal is undone."""
     impulse = np.zeros(256)
-    weights = noise_weights(camera)
     impulse[: len(weights)] = weights
     response: Array = signal.lfilter([1.0], signal_weights(camera), impulse)
     return response

@@ -240,6 +240,12 @@ class _Frames:
         with ThreadPoolExecutor(max_workers=WORKERS) as pool:
             sights = [one for found in pool.map(seen, range(len(chosen)), chosen) for one in found]
             self.learnt = temporal.learn(sights, depth_for(self.shape[1:], LEVELS, False), pool.map)
+        if self.learnt.is_impossible:
+            warnings.warn(
+                "the movie is left as it was recorded: its noise is not what the camera says; measure that "
+                "(`calibrate`), or set its read noise and electrons per count to what they are",
+                stacklevel=4,
+            )
         if self.learnt.weights is not None:
             gain = self.learnt.untouched / max(self.learnt.risk, 1e-3 * self.learnt.untouched)
             self.gain_db = float(10 * np.log10(gain))
@@ -338,14 +344,18 @@ def part_of(camera: Camera, tile: tuple[slice, ...]) -> Camera:
 
 
 def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
-    """Read noise variance of one frame (y, x) in photoelectrons squared.
+    """Variance of one frame (y, x) by read noise and by rounding to counts (a²/12 of a converter of a electrons per
+    count), in photoelectrons squared.
 
     EMCCD: the register's gain divides it. CMOS: so does the slope of the response, taken at the local mean of 5 x 5
     pixels, because the pixel's own noise would choose its own slope.
     """
+    rounding_e2 = np.float32(camera.electrons_per_adu**2 / 12)
     variance_e2 = np.square(cam.read_noise_map_e(camera))
     if camera.readout_kernel:
         variance_e2 = variance_e2 * np.float32(readout.undone_noise_power(camera))
+        rounding_e2 *= np.float32(readout.undone_rounding_power(camera))
+    variance_e2 = variance_e2 + rounding_e2
     slope: Any = np.float32(1.0)
     if camera.type == "EMCCD":
         slope = np.float32(camera.em_gain or 1.0)

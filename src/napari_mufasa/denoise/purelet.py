@@ -12,7 +12,7 @@ from napari_mufasa.errors import MufasaError
 from . import expansion, haar
 from .fused import DEEPEST
 from .noise import Noise, same_mean
-from .risk import RiskSystem, choose_weights
+from .risk import RiskSystem, choose_weights, improves
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -138,7 +138,7 @@ def learned(plane: Array, noise: Noise, levels: int, flat: bool) -> tuple[Array 
     if not parts:
         return None, max(noise.mean(plane), 0.0)
     weights, risk, untouched = choose_weights(parts)
-    return (weights, risk) if risk < untouched else (None, max(untouched, 0.0))
+    return (weights, risk) if improves(risk, untouched) else (None, max(untouched, 0.0))
 
 
 def applied(plane: Array, noise: Noise, levels: int, flat: bool, weights: Array | None) -> NDArray[np.float32]:

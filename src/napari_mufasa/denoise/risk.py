@@ -101,6 +101,9 @@ class RiskSystem:
 #: Candidates kept in the smaller models, as places in one level's spatial and one guide's candidates.
 CORE_SPATIAL, CORE_GUIDE = (0, 1, 3, 4), (0, 3)
 TINY_SPATIAL, TINY_GUIDE = (0, 3), (0,)
+#: Of the data's own noise: a mean squared error estimated so far below zero says that their noise is not what it was
+#: taken for (it came to -0.003 at least where it was).
+IMPOSSIBLE = -0.1
 #: Parts into which the windows are divided to judge weights on data that did not choose them.
 FOLDS = 5
 #: A model may have one weight for so many pixels.
@@ -145,6 +148,16 @@ def choose_weights(parts: list[RiskSystem]) -> tuple[Array, float, float]:
         if risk < best[1]:
             best = (selection @ weights, risk)
     return *best, total.noise_variance()
+
+
+def improves(risk: float, untouched: float) -> bool:
+    """Is an estimated risk below that of the data as they are, and possible at all?"""
+    return risk < untouched and not is_impossible(risk, untouched)
+
+
+def is_impossible(risk: float, untouched: float) -> bool:
+    """Is an estimated risk so far below zero that chance does not bring it there?"""
+    return risk < IMPOSSIBLE * abs(untouched)
 
 
 def honest_risk(whole: RiskSystem, weights: Array, folds: list[RiskSystem]) -> float:

@@ -12,7 +12,7 @@ from . import expansion
 from .expansion import NO_GUIDES, Guides
 from .noise import Noise, same_mean
 from .purelet import LEVELS, checked, depth_for, estimate, windows
-from .risk import RiskSystem, choose_weights
+from .risk import RiskSystem, choose_weights, improves, is_impossible
 from .still import past_and_future, shown
 
 if TYPE_CHECKING:
@@ -111,6 +111,11 @@ class Learnt:
     risk: float
     untouched: float
 
+    @property
+    def is_impossible(self) -> bool:
+        """Can the risk not be what it is estimated at, so that the noise is not what it was taken for?"""
+        return is_impossible(self.risk, self.untouched)
+
 
 def learn(seen: list[Sight], depth: int, each: Callable[..., Iterable[Any]] = map) -> Learnt:
     """Weights of least risk pooled over windows, and what frames make of their past and future.
@@ -125,7 +130,7 @@ def learn(seen: list[Sight], depth: int, each: Callable[..., Iterable[Any]] = ma
 
     def weighed(trust: float | None) -> Learnt:
         weights, risk, untouched = choose_weights(list(each(lambda one: one.system(depth, trust), seen)))
-        return Learnt(weights if risk < untouched else None, trust, risk, untouched)
+        return Learnt(weights if improves(risk, untouched) else None, trust, risk, untouched)
 
     if all(one.past is None and one.future is None for one in seen):
         return weighed(None)
