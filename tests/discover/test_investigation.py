@@ -244,10 +244,10 @@ class Doubted:
         alone = self.together / max(len(doubtful), 1) if len(doubtful) < 3 else 5.0
         worths = {kind: Worth(alone, 1.5, 20.0) for kind in doubtful} | {"sure": Worth(90.0, 3.0, 20.0)}
         made = SimpleNamespace(
-            added=added, worths=worths, confirmed=(),
+            added=added, worths=worths,
             is_worth=lambda worth: worth.is_some, may_stand_in=lambda kind: kind in self.stand_ins,
         )  # fmt: skip
-        made.confirming = lambda kind, worth: SimpleNamespace(**vars(made) | {"confirmed": ((kind, worths[kind]),)})
+        made.knowing = lambda kind, worth: SimpleNamespace(**vars(made) | {"worths": worths | {kind: worth}})
         return made
 
     @property
@@ -276,6 +276,12 @@ def test_what_is_worth_little_goes_together_only_where_together_it_is_not_worth_
     ]
     worth_two = Doubted(together=50.0)  # one stands in for the others: it goes, and they are worth 25 each
     assert steps.Steps.prune(worth_two) == {"one"} and worth_two.chosen == ["two", "three", "sure"]
+
+
+def test_an_effect_of_which_a_rival_is_known_is_judged_like_others():
+    noted = Doubted(together=15.0)
+    noted.stands[-1] = noted.stand.knowing("one", replace(noted.stand.worths["one"], rivals={"another": 3.0}))
+    assert steps.Steps.prune(noted) == {"one", "two", "three"}
 
 
 @pytest.mark.parametrize(("without", "left"), [(10.0, ("sure",)), (60.0, ("sure", "beside"))])
@@ -554,7 +560,7 @@ def test_where_misfit_is_left_a_rival_is_harder_to_tell_apart(inquiry, birge, to
     worths = {"laser_drift": Worth(500.0, 3.0, 20.0)}
     stand = SimpleNamespace(
         misfit=100.0, birge=birge, worths=worths, x=None,
-        confirming=lambda kind, worth: SimpleNamespace(worths={kind: worth}),
+        knowing=lambda kind, worth: SimpleNamespace(worths={kind: worth}),
     )  # fmt: skip
     begun = inquiry.believed.with_effects(effect_class("laser_flicker")())
     seen = SimpleNamespace(stand=stand, stands=[stand])

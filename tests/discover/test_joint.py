@@ -15,7 +15,7 @@ from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.rules import ALARM
 from napari_mufasa.discover.stand import Stand, Worth
-from napari_mufasa.discover.start import begun, started
+from napari_mufasa.discover.start import _design, begun, started
 from napari_mufasa.discover.state import SCALES
 from napari_mufasa.discover.uncertainty import coordinates_sd
 from napari_mufasa.effects import effect_class
@@ -556,10 +556,46 @@ def test_a_half_is_judged_by_what_was_read_off_the_other():
     state = near.base
     for half, electrons in ((1, 12.0), (2, 9.0)):
         other = bench.start.with_effects(HOT(fraction=5e-3, electrons=electrons))
-        np.testing.assert_allclose(state.unread[half], bench.law(other) - bench.law(model))
+        np.testing.assert_allclose(state.unread["hot_pixels"][half], bench.law(other) - bench.law(model))
     assert state.held_out_error(x) > 1.5 * replace(state, unread={}).held_out_error(x)  # readings that do not agree
     assert joint.removed(near, "hot_pixels").unread == {}  # nothing is read off any more
     assert build(ToyBench(), model, [], ["hot_pixels"]).base.unread == {}
+
+
+class TwiceBench(HalvesBench):
+    """The halves show two effects differently."""
+
+    def read_off(self, kind, beside=None, part="all"):
+        rms = {"all": 1.0, "white": 1.4, "black": 0.7}[part]
+        return {"rms_adu": rms} if kind == "row_noise" else super().read_off(kind, beside, part)
+
+
+def test_what_was_read_off_goes_with_its_effect():
+    bench = TwiceBench()
+    one, other = HOT(fraction=5e-3, electrons=10.5), ROWS(rms_adu=1.0)
+    near = build(bench, bench.start.with_effects(one, other), [], ["hot_pixels", "row_noise"])
+    x = bench.rows([(bench.start.with_effects(one), 999)])[0]
+    without, alone = joint.removed(near, "row_noise"), build(bench, bench.start.with_effects(one), [], ["hot_pixels"])
+    assert set(near.base.unread) == {"hot_pixels", "row_noise"} and set(without.unread) == {"hot_pixels"}
+    for half, change in alone.base.unread["hot_pixels"].items():
+        np.testing.assert_allclose(without.unread["hot_pixels"][half], change)
+    assert without.held_out_error(x) == pytest.approx(alone.base.held_out_error(x), rel=0.05)
+
+
+def test_where_an_effect_is_begun_its_halves_are_judged_by_one_another():
+    """Or what is read off the movie, its noise with it, would pass for more than what is fitted."""
+    bench = HalvesBench()
+    stand = stand_of(bench, bench.start.with_effects(HOT(fraction=5e-3, electrons=10.5)))
+    state = begun(stand.library, stand.state, [HOT(fraction=4e-3, electrons=10.5)], stand.x)
+    assert state.surprise(stand.x) > replace(state, unread={}).surprise(stand.x) + 100
+    assert state.misfit(stand.x) == replace(state, unread={}).misfit(stand.x)
+
+
+@pytest.mark.parametrize("dimensions", range(1, 8))
+def test_settings_around_a_start_tell_all_its_parameters_apart(dimensions):
+    signs = np.sign(_design(9, dimensions, 0.4, np.random.default_rng(1)))
+    assert not signs[0].any() and not signs.sum(axis=0).any()
+    np.testing.assert_array_equal(signs.T @ signs, 8 * np.eye(dimensions))
 
 
 class ScaleBench(HalvesBench):
@@ -574,8 +610,8 @@ def test_a_scale_that_the_halves_read_differently_is_fitted_where_it_was_read():
     bench = ScaleBench()
     model = bench.start.with_effects(HOT(fraction=5e-3, electrons=10.5))
     state = build(bench, model, [], ["hot_pixels"]).base
-    x = bench.rows([(model, 999)])[0]
-    assert state.free == ("hot_pixels.fraction",) and np.ptp(state.unread[1] - state.unread[2]) > 5
+    x, unread = bench.rows([(model, 999)])[0], state.unread["hot_pixels"]
+    assert state.free == ("hot_pixels.fraction",) and np.ptp(unread[1] - unread[2]) > 5
     assert state.held_out_error(x) < 1.05 * replace(state, unread={}).held_out_error(x)
 
 

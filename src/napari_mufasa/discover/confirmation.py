@@ -177,6 +177,7 @@ def _carried(
     for effect in bench.start.effects:  # each beside those before it
         if effect.kind in kinds:
             start = start.with_effects(changed(effect, bench.read_off(effect.kind, start)))
-    bench.plan(bench.matching_simulations + library.expected_simulations([], len(bench.free_values(start)), start))
-    near = library.build(bench, bench.matched(start), [])
+    n_free = len(bench.free_values(start))
+    bench.plan(bench.matching_simulations + library.expected_simulations([], n_free, start, read=len(kinds)))
+    near = library.with_halves(library.build(bench, bench.matched(start), []), kinds)
     return near.base.held_out_error(bench.x), near.base.floor

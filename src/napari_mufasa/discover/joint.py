@@ -166,8 +166,6 @@ def removed(library: Library, *kinds: str) -> State:
     are: how they would make up for it follows from their slopes."""
     if kinds not in library.without:
         state = _without(library.base, kinds)
-        if not any(library.bench.read_off(effect.kind) for effect in state.model.effects):
-            state = replace(state, unread={})
         rows = library.simulated([(state.model, k) for k in range(REMOVALS)])
         mean = state.mean + (rows - library.rows[:REMOVALS]).mean(axis=0)
         library.without[kinds] = replace(state, mean=mean)

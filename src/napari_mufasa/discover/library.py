@@ -138,27 +138,30 @@ def build(
     base = _with_noise_of(replace(bare, slopes=slopes), rows)
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
     library = Library(bench, base, rows, {})
-    base = replace(base, unread=_unread(library, [kind for kind in added if bench.read_off(kind)]))
-    library = replace(library, base=base)
+    library = with_halves(library, added)
     known = {kind: last[kind] for kind in kinds if last and kind in last}
     library = replace(library, rays=known, earlier=frozenset(known))
     return with_rays(library, [kind for kind in kinds if kind not in known])
 
 
-def _unread(library: Library, kinds: Sequence[str]) -> dict[int, Array]:
-    """`State.unread` of the base state: what effects of these `kinds` have read off each half alone."""
-    if not kinds:
-        return {}
-    model, bench = library.base.model, library.bench
+def with_halves(library: Library, kinds: Sequence[str]) -> Library:
+    """The neighbourhood that knows what effects of these kinds would have read off each half alone."""
+    base = library.base
+    found = {kind: read_by_halves(library, base.model, kind, library.rows) for kind in kinds}
+    return replace(library, base=replace(base, unread={kind: change for kind, change in found.items() if change}))
+
+
+def read_by_halves(library: Library, model: Model, kind: str, rows: Array) -> dict[int, Array]:
+    """`State.unread` of one effect of a model whose simulations are `rows` (simulation, part, observable)."""
+    effect = next(e for e in model.effects if e.kind == kind)
     change = {}
     for half, _ in HALVES:
-        effects = [
-            changed(e, bench.read_off(e.kind, _without(model, e.kind), PARTS[half])) if e.kind in kinds else e
-            for e in model.effects
-        ]
-        other = model.model_copy(update={"effects": tuple(effects)})
-        rows = library.simulated([(other, k) for k in range(UNREAD)])
-        change[half] = (rows - library.rows[:UNREAD]).mean(axis=0)
+        seen = library.bench.read_off(kind, _without(model, kind), PARTS[half])
+        other = changed(effect, {name: value for name, value in seen.items() if effect.matters(name)})
+        if other != effect:
+            effects = tuple(other if e.kind == kind else e for e in model.effects)
+            there = model.model_copy(update={"effects": effects})
+            change[half] = (library.simulated([(there, k) for k in range(UNREAD)]) - rows[:UNREAD]).mean(axis=0)
     return change
 
 
@@ -226,9 +229,9 @@ def ray_settings(effect: type[Effect], model: Model, rng: np.random.Generator) -
     return found
 
 
-def expected_simulations(kinds: Sequence[str], n_free: int, model: Model) -> int:
-    """How many simulations `build` makes at most."""
-    around = BASE_SIMULATIONS + CHECK_SIMULATIONS + len(HALVES) * UNREAD
+def expected_simulations(kinds: Sequence[str], n_free: int, model: Model, read: int = 0) -> int:
+    """How many simulations `build` makes at most, of a model that has so many effects `read` off the movie."""
+    around = BASE_SIMULATIONS + CHECK_SIMULATIONS + len(HALVES) * UNREAD * read
     return around + SLOPE_SEEDS * n_free + ray_simulations(kinds, model)
 
 
@@ -238,7 +241,7 @@ def further_simulations(library: Library, kinds: Sequence[str], n_free: int, mod
     lacking = set(kinds) - {effect.kind for effect in model.effects}
     known = sorted(ray_simulations([kind], model) for kind in lacking if kind in library.rays)
     rays = sum(known[-RENEWED:]) + ray_simulations([kind for kind in lacking if kind not in library.rays], model)
-    return expected_simulations([], n_free, model) + rays
+    return expected_simulations([], n_free, model, read=len(library.base.unread) + 1) + rays
 
 
 def ray_simulations(kinds: Sequence[str], model: Model) -> int:

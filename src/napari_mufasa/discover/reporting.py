@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from napari_mufasa.discover import joint, nuisance
-from napari_mufasa.discover.metric import stretch
+from napari_mufasa.discover.metric import soften, stretch
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.discover.rules import ALARM, CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
@@ -156,7 +156,7 @@ def detectable(inquiry: Standing) -> dict[str, float | None]:
         distances = []
         for ray in rays:
             for scale in sorted({*SCALES, 0.03, 0.06}):
-                step = np.pad(w @ (8.0 * np.arcsinh(ray.shift[0] * scale / spread / 8.0)), (0, len(state.prior)))
+                step = np.pad(w @ soften(ray.shift[0] * scale / spread), (0, len(state.prior)))
                 power = float(((step - q @ (q.T @ step)) ** 2).sum())
                 if power - 0.84 * 2 * np.sqrt(power) > threshold:
                     distances.append(scale * abs(float(getattr(ray.effect, ray.effect.strength)) - ray.none))
@@ -220,8 +220,9 @@ def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: 
     if inquiry.chosen and len(left):
         worst = left.sort_values("z_after", key=np.abs, ascending=False).title.head(4)
         notes.append(f"Still off after the additions: {'; '.join(worst)}.")
-    if verdict == "unexplained" and inquiry.ranking:
-        notes.append(
-            f"No effect in the catalogue explains this. The nearest resemblance is {inquiry.ranking[0].effect}."
-        )
+    if verdict == "unexplained":
+        nearest = [c.effect for c in inquiry.ranking] if not inquiry.chosen else list(inquiry.stand.leads)
+        what = "the rest" if inquiry.chosen else "this"
+        likest = f" The nearest resemblance is {nearest[0]}." if nearest else ""
+        notes.append(f"No effect in the catalogue explains {what}.{likest}")
     return notes

@@ -42,12 +42,13 @@ Case = list[Lead]  # one effect's: the leads of its forms, the best first
 class Worth:
     """What an added effect is worth to the model it is in: by how much the misfit rises without it (its evidence),
     the held-out error then, the evidence it needs to stay, and the rivals that would explain about as much in its
-    place, with how much more misfit they leave."""
+    place, with how much more misfit they leave. It is `judged` once a whole fit without it has told."""
 
     evidence: float
     error_without: float
     needed: float
     rivals: Mapping[str, float] = field(default_factory=dict)
+    judged: bool = False
 
     @property
     def is_some(self) -> bool:
@@ -66,7 +67,7 @@ class Stand:
     x: Array
     null: Null
     first: State
-    confirmed: tuple[tuple[str, Worth], ...] = ()  # what taking an effect out, everything fitted anew, has shown
+    known: tuple[tuple[str, Worth], ...] = ()  # what fits have shown, of an effect or of what is in its place
 
     @property
     def state(self) -> State:
@@ -150,7 +151,7 @@ class Stand:
     @cached_property
     def worths(self) -> dict[str, Worth]:
         """What each of the added effects is worth, by simulations without it."""
-        known = dict(self.confirmed)
+        known = dict(self.known)
         if len(self.added) == 1 and not known:  # the model without it is the one believed
             alone = self.first.score(self.x) - self.state.score(self.x)
             return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.evidence.at(ALARM))}
@@ -272,10 +273,9 @@ class Stand:
             if rays and not effect_class(k).describes_only
         }
 
-    def confirming(self, kind: str, worth: Worth) -> Stand:
+    def knowing(self, kind: str, worth: Worth) -> Stand:
         """The same stand with what is known of one effect."""
-        confirmed = tuple((k, w) for k, w in self.confirmed if k != kind)
-        return replace(self, confirmed=(*confirmed, (kind, worth)))
+        return replace(self, known=(*((k, w) for k, w in self.known if k != kind), (kind, worth)))
 
     @cached_property
     def birge(self) -> float:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover.coordinates import Coordinate, changed
 from napari_mufasa.discover.derivatives import trusted
-from napari_mufasa.discover.library import Library
-from napari_mufasa.discover.rules import AROUND, FORM_WORTH, PLAIN
+from napari_mufasa.discover.library import Library, read_by_halves
+from napari_mufasa.discover.rules import AROUND, FORM_WORTH, PLAIN, UNREAD
 from napari_mufasa.discover.state import Lead, Ray, State, scaled
 from napari_mufasa.effects import Effect
 
@@ -24,6 +24,7 @@ LADDER = 2.2  # factor between the strengths tried first
 SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
 WIDTH = 0.45  # how far simulations around a start reach (log units or quarters of the range)
 LOOSE = 2.5  # prior width of an effect's parameters in spreads of the simulations around it
+HADAMARD = (1, 2, 4, 7, 3, 5, 6)  # its columns, those first that are each one's own bit
 PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
 
@@ -113,6 +114,10 @@ def _linearised(library: Library, state: State, effect: Effect, known: set[str])
     jobs = [(local.model.with_effects(changed(effect, setting)), k) for k, setting in enumerate(settings)]
     shift = library.simulated(jobs) - library.rows[:AROUND]
     centre, slopes = _regress(offsets, shift)
+    unread = dict(state.unread)
+    if any(effect.matters(name) for name in known):
+        rows = library.simulated([(local.model, k) for k in range(UNREAD)])
+        unread[effect.kind] = read_by_halves(library, local.model, effect.kind, rows)
     wild = shift - centre - np.einsum("kd,pod->kpo", offsets, slopes)
     return replace(
         local,
@@ -120,14 +125,17 @@ def _linearised(library: Library, state: State, effect: Effect, known: set[str])
         spread=np.sqrt(library.base.spread**2 + (wild**2).sum(axis=0) / (AROUND + PRIOR_SIMULATIONS)),
         slopes=np.concatenate([state.slopes, slopes], axis=2),
         prior=np.concatenate([state.prior, np.full(n, LOOSE * WIDTH)]),
+        unread=unread,
     )
 
 
 def _design(n: int, dimensions: int, width: float, rng: np.random.Generator) -> Array:
-    """Settings around the centre (n, dimensions): balanced, uncorrelated signs, first one at the centre."""
+    """Settings around the centre (n, dimensions): first one at the centre, then balanced, uncorrelated signs (of up to
+    seven dimensions in each eight, columns of a Hadamard matrix)."""
     if dimensions == 0:
         return np.zeros((n, 0))
-    signs = np.array([[(-1) ** (k >> d & 1) for d in range(dimensions)] for k in range(n)], dtype=float)
+    columns = [HADAMARD[d % len(HADAMARD)] for d in range(dimensions)]
+    signs = np.array([[(-1) ** (k & column).bit_count() for column in columns] for k in range(n)], dtype=float)
     jitter = rng.uniform(0.6, 1.2, signs.shape)
     signs[0] = 0.0
     return signs * jitter * width

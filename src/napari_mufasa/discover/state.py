@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover.coordinates import changed, model_at, room
-from napari_mufasa.discover.metric import SOFT, Adjusted, adjust, at_the_end, stretch
+from napari_mufasa.discover.metric import SOFT, Adjusted, adjust, at_the_end, soften, stretch
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.rules import AT_FLOOR, FAR_OFF
 from napari_mufasa.effects import Effect
@@ -63,8 +63,8 @@ class State:
     nuisance values (`values`) first, then effect parameters · whiten (part, observable, observable) · check
     (simulation, part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error
     that the model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make ·
-    unread : by half, how the mean (part, observable) changes where what is read off the movie is read off it alone;
-    empty where nothing is
+    unread : of each effect of which something is read off the movie, by half: how the mean (part, observable) changes
+    where it is read off that half alone
 
     An observable that cannot be measured has an infinite (least) spread: whatever it is, it is no residual, and it is
     left out of every score and error.
@@ -81,7 +81,7 @@ class State:
     least_spread: Array
     values: tuple[Nuisance, ...] = ()
     floor: float = 1.0
-    unread: Mapping[int, Array] = field(default_factory=dict)
+    unread: Mapping[str, Mapping[int, Array]] = field(default_factory=dict)
 
     @property
     def measurable(self) -> NDArray[np.bool_]:
@@ -109,7 +109,7 @@ class State:
 
     def _held_out(self, x: Array, fit: int, held: int) -> Array:
         """Squares of the whitened residuals of one half, free values fitted on the other."""
-        read = replace(self, mean=self.mean + self.unread.get(fit, 0.0))
+        read = replace(self, mean=self.mean + sum(change.get(fit, 0.0) for change in self.unread.values()))
         moves = read.adjusted(x, fit).moves
         still = adjust(
             x[held], read.mean[held] + self.slopes[held] @ moves, self.spread[held],
@@ -130,7 +130,9 @@ class State:
         effects = tuple(effect for effect in self.model.effects if effect.kind != kind)
         free = tuple(path for path, stays in zip(self.free, keep, strict=True) if stays)
         model = self.model.model_copy(update={"effects": effects})
-        return replace(self, model=model, free=free, slopes=self.slopes[:, :, keep], prior=self.prior[keep])
+        unread = {other: change for other, change in self.unread.items() if other != kind}
+        slopes, prior = self.slopes[:, :, keep], self.prior[keep]
+        return replace(self, model=model, free=free, slopes=slopes, prior=prior, unread=unread)
 
     def misfit(self, x: Array) -> float:
         return self.adjusted(x).chi2
@@ -163,7 +165,7 @@ class State:
             prior, room = np.append(prior, TAKEN / 2), np.column_stack([room, [-TAKEN, TAKEN]])
         start = adjust(x[0], mean, spread, slopes, prior, room, w)
         # Locally linear: directions of free values are projected out of residual and rays alike.
-        local = 1 / np.sqrt(1 + np.sinh(np.clip(start.soft / SOFT, -20, 20)) ** 2)
+        local = 1 / np.cosh(np.clip(start.soft / SOFT, -20, 20))
         slope = np.vstack([w @ (slopes / spread[:, None] * local[:, None]), np.diag(1 / prior)])
         full = np.concatenate([start.residual, -start.moves / prior])
         q, _ = np.linalg.qr(slope[:, ~at_the_end(start.moves, room, slope.T @ full)])
@@ -178,7 +180,7 @@ class State:
             )
             for ray in candidates:
                 shifts = np.outer(scales, ray.shift[0] / spread)
-                moved = start.soft - SOFT * np.arcsinh((raw - shifts) / SOFT)
+                moved = start.soft - soften(raw - shifts)
                 rest = full - np.pad(moved @ w.T, ((0, 0), (0, len(prior))))
                 rest -= (rest @ q) @ q.T
                 gains = start.chi2 - (rest**2).sum(axis=1)

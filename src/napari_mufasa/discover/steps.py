@@ -104,7 +104,10 @@ class Steps(Standing):
         self.bench.plan(self._settling(0))
         near = joint.arrived(stand.library, stand.x, self.kinds, self.left)
         if near is not None:
-            self.stands[-1] = replace(self._seen_in(near), confirmed=stand.confirmed)
+            there = self._seen_in(near)
+            fallen = stand.misfit - there.misfit
+            known = tuple((kind, replace(w, evidence=w.evidence + fallen)) for kind, w in stand.known)
+            self.stands[-1] = replace(there, known=known)
 
     def prune(self, sure: bool = False) -> set[str]:
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
@@ -119,12 +122,12 @@ class Steps(Standing):
             doubtful = {
                 k: w
                 for k, w in stand.worths.items()
-                if (not stand.is_worth(w) or stand.may_stand_in(k)) and (k, w) not in stand.confirmed
+                if (not stand.is_worth(w) or stand.may_stand_in(k)) and not w.judged
             }
             if not doubtful:
                 break
             if len(stand.added) == 1:
-                self.stands = self.stands[:1]
+                self.stands = [self._first_again()]
                 return dropped | set(doubtful)
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
             far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
@@ -140,7 +143,7 @@ class Steps(Standing):
                 self.stands[-1] = lesser
                 dropped |= set(kinds)
             elif len(kinds) == 1:
-                self.stands[-1] = stand.confirming(kinds[0], worth)
+                self.stands[-1] = stand.knowing(kinds[0], replace(worth, judged=True))
             else:  # they stand in for one another
                 at_once = False
         return dropped
@@ -193,8 +196,7 @@ class Steps(Standing):
         groups = self.stand.as_cases()
         if len(self.stands) < 3 or self.left < sum(len(group) for group in groups) * START + self._settling(0):
             return False
-        rays = self.first.library.rays | self.stand.library.rays  # those of effects considered since then, too
-        self.stands = [replace(self.first, library=replace(self.first.library, rays=rays))]
+        self.stands = [self._first_again()]
         self.take_up(groups)
         return bool(self.chosen)
 
@@ -205,6 +207,12 @@ class Steps(Standing):
         self.stands.pop()
 
     # Inside -------------------------------------------------------------------------------------------------
+
+    def _first_again(self) -> Stand:
+        """The model believed, with the rays of effects that are considered since then, too."""
+        first, rays = self.first.library, self.stand.library.rays
+        new = frozenset(rays) - frozenset(first.rays)
+        return replace(self.first, library=replace(first, rays=rays | first.rays, earlier=first.earlier | new))
 
     def _promises(self, state: State, case: Case) -> bool:
         """Do an effect's leads still promise something beside what is begun in a state?"""
@@ -304,7 +312,7 @@ class Steps(Standing):
         stand = self.stand
         behind = {tried.model.effects[-1].kind: tried.misfit(stand.x) - stand.misfit for tried in tries}
         if near := {rival: by for rival, by in behind.items() if by < NEAR * stand.birge**2}:
-            self.stands[-1] = stand.confirming(kind, replace(stand.worths[kind], rivals=near))
+            self.stands[-1] = stand.knowing(kind, replace(stand.worths[kind], rivals=near))
 
     def _replaced(self, kind: str, tries: Sequence[State], more: float) -> bool:
         """Settle the best of `tries`, in each of which something else is in the place of an effect, unless it leaves so
