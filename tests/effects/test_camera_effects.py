@@ -11,7 +11,7 @@ from scipy import stats
 from napari_mufasa import simulate, simulate_dark
 from napari_mufasa.camera.detector import photoelectrons
 
-from .helpers import ccd, effect, plain
+from .helpers import ccd, cmos, effect, plain
 
 EMPTY = np.empty((0, 2))
 
@@ -215,6 +215,24 @@ def test_saturation_is_in_photoelectrons_for_every_camera():
     model = model.with_effects(effect("detector_saturation", inverse_full_scale=0.01, form="hard"))
     electrons = photoelectrons(simulate(model, EMPTY, seed=1).movie, model.camera)
     assert electrons.mean() == pytest.approx(100, rel=1e-2)
+
+
+def test_the_charge_of_a_cmos_saturates_and_is_hit_before_its_curve():
+    values = {"optics.background_photons_per_px": 3000, "acquisition.n_frames": 30}
+    model = cmos(**values).with_effects(effect("detector_saturation", inverse_full_scale=1e-3, form="hard"))
+    assert photoelectrons(simulate(model, EMPTY, seed=1).movie, model.camera).mean() == pytest.approx(1000, rel=1e-2)
+    hits, charge = 5.0, 2000.0
+    model = cmos().with_effects(effect("cosmic_rays", hits_per_frame=hits, electrons=charge))
+    total = photoelectrons(simulate_dark(model, 400, seed=2), model.camera).sum(axis=(1, 2), dtype=float)
+    assert np.median(total) < hits * charge  # half a count of rounding less, of 1280 pixels
+    assert total.mean() == pytest.approx(hits * charge, abs=4 * charge * np.sqrt(2 * hits / 400) + 150)
+
+
+def test_no_charge_is_beyond_the_well_wherever_it_was_born():
+    kinds = {"cosmic_rays": {"hits_per_frame": 5.0}, "pixel_gain_variation": {"rms": 0.2}, "image_lag": {}}
+    others = [effect(kind, **values) for kind, values in kinds.items()]
+    full = effect("detector_saturation", inverse_full_scale=1 / 50, form="hard")
+    assert flat(full, *others, **{"optics.background_photons_per_px": 40}).max() <= 50
 
 
 @pytest.mark.parametrize(("form", "kept"), [("one_frame", 0.5), ("decaying", 0.5), ("decaying", 0.8), ("decaying", 0)])

@@ -1,6 +1,7 @@
 """The contract of effects (docs/effects.md, docs/model.md): identifiers, data, null strength, forms, third parties."""
 
 import importlib.metadata
+from itertools import combinations
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -255,3 +256,11 @@ def test_an_effect_without_apply_says_so():
 
     with pytest.raises(NotImplementedError, match="override apply"):
         simulate(plain(n_frames=1).with_effects(Empty()), seed=1)
+
+
+def test_a_movie_does_not_depend_on_the_order_in_which_effects_are_listed():
+    model = plain(n_frames=12, shape=(24, 24), **{"fluorophore.cycles_before_bleaching": 2e4})
+    effects = [kind() for kind in catalogue().values() if kind.suits(model)]
+    for two in combinations(effects, 2):
+        one, other = (simulate(model.with_effects(*listed), seed=1).movie for listed in (two, two[::-1]))
+        np.testing.assert_array_equal(one, other, err_msg=str([e.kind for e in two]))

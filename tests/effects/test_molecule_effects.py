@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from napari_mufasa import simulate_emission
+from napari_mufasa import preset, simulate_emission
 from napari_mufasa.simulate import SimulatedAcquisition
 
 from .helpers import effect, plain, scene_of
@@ -73,6 +73,25 @@ def test_both_levels_bleach_alike_in_any_order(first):
     for frame in (10, 40, 59):
         share = np.exp(-3.0 * (frame * 0.01 + 0.2e-3))
         assert np.mean(alive > frame) == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / 4000) + 1e-3)
+
+
+@pytest.mark.parametrize("protocol", ["FF", "STORM", "Blinking"])
+@pytest.mark.parametrize("beside", [(), ("triplet_blinking",), ("long_dark_state", "triplet_blinking")])
+def test_what_comes_back_from_the_dark_has_the_level_that_it_had(protocol, beside):
+    """Or a molecule that is often dark would hardly ever be at its lower level."""
+    model = preset(protocol).with_values({"fluorophore.cycles_before_bleaching": None})
+    switching = effect("level_switching", to_low_per_s=1.0, to_full_per_s=3.0, level=0.4)
+    chain = scene_of(model.with_effects(switching, *(effect(kind) for kind in beside))).chain
+    rates = chain.generator()
+    shares = np.linalg.lstsq(np.vstack([rates.T, np.ones(len(rates))]), np.eye(len(rates) + 1)[-1], rcond=None)[0]
+    chances = dict.fromkeys(chain.states, 0.0) | {
+        t.source: t.photon_probability for t in chain.transitions if t.photon_probability
+    }
+    full, low = (
+        sum(shares[chain.states.index(s)] for s, p in chances.items() if p == level)
+        for level in sorted({p for p in chances.values() if p}, reverse=True)
+    )
+    assert low / (full + low) == pytest.approx(0.25, abs=1e-4)
 
 
 def test_two_populations_and_blinking_keep_their_two_levels():

@@ -32,7 +32,7 @@ class SensorHooks:
     """What a real sensor does beyond the ideal camera, by the step it happens in."""
 
     expected: list[Hook] = field(default_factory=list)  # expected photoelectrons, before shot noise
-    amplified: list[Hook] = field(default_factory=list)  # electrons after the gain, before read-out
+    amplified: list[Hook] = field(default_factory=list)  # charge after the register, before a CMOS's curve and read-out
     amplifier: list[Hook] = field(default_factory=list)  # the same electrons on their way through the read-out
     noise: list[Hook] = field(default_factory=list)  # read noise alone, in electrons
     output: list[Hook] = field(default_factory=list)  # electrons with read noise, before the ADC
@@ -86,13 +86,13 @@ def expose(
     leans = lean(shape, kept) if tabled else 0.0
     expected = np.ascontiguousarray(expected, np.float32)
     electrons = detect(expected, shape, kept, numbers, streams.key("detection"), table, excess, leans)
-    if camera.type == "CMOS":
-        electrons = cmos_response(electrons, camera)
-    else:
+    if camera.type != "CMOS":
         electrons *= np.float32(_gain(camera))
-    # 3 what happens to the charge on its way out
+    # 3 what happens to the charge on its way out; a CMOS turns it into a voltage, along its curve, only then
     for hook in hooks.amplified:
         electrons = hook(electrons, frames)
+    if camera.type == "CMOS":
+        electrons = cmos_response(np.ascontiguousarray(electrons, np.float32), camera)
     for hook in hooks.amplifier:
         electrons = hook(electrons, frames)
     if camera.readout_kernel:

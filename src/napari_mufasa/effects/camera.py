@@ -25,12 +25,9 @@ Frames = NDArray[np.int64]
 
 
 def _gain(scene: Scene) -> float:
-    """Output electrons per photoelectron near zero signal."""
+    """Charge on its way out per photoelectron: what a register makes of it."""
     camera = scene.setup.camera
-    if camera.type == "CMOS":
-        (x0, y0), (x1, y1) = camera.cmos_gain_curve[:2]
-        return (y1 - y0) / (x1 - x0)
-    return float(camera.em_gain or 1.0)
+    return float(camera.em_gain or 1.0) if camera.type == "EMCCD" else 1.0
 
 
 def peak_e(setup: Setup) -> float:
@@ -146,6 +143,7 @@ class DetectorSaturation(Effect):
     kind = "detector_saturation"
     stage = STAGE
     strength = "inverse_full_scale"
+    order = 3  # of all charge, in its pixel's gain, with what was left behind
     title = "Detector saturation"
     what_it_is = "Full wells and amplifiers bend at high signal."
     what_it_does = "Bright spots have flat tops and too little variance."
@@ -190,6 +188,7 @@ class ImageLag(Effect):
     kind = "image_lag"
     stage = STAGE
     strength = "fraction"
+    order = 2  # of all charge, wherever it was born
     title = "Image lag"
     what_it_is = "Some charge of a frame is read with the next ones."
     what_it_does = "Every pixel remembers its last value; a vanished spot leaves a shadow."

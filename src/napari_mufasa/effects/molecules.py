@@ -57,28 +57,34 @@ class LevelSwitching(Effect):
 
 
 def with_lower_level(chain: Chain, level: float, to_low_per_s: float, to_full_per_s: float) -> Chain:
-    """Every bright pair of states gets a second one that is excited and left alike, but emits `level` of the photons.
-    Molecules that start bright start in equilibrium between the two."""
-    low_share = to_low_per_s / (to_low_per_s + to_full_per_s)
+    """Every state that a bright molecule goes to and fro between gets a second one that is left alike, but emits
+    `level` of the photons: what goes dark comes back as it was. Molecules change in the ground state, and those that
+    are not still to come start in equilibrium between the two."""
+    grounds = [ground for ground, _ in chain.emitting_pairs()]
+    low: dict[str, str] = {}
+    for state in (state for ground in grounds for state in chain.returning(ground)):
+        low[state] = chain.free_name(f"{state}_low")
+    copies = [
+        replace(
+            t,
+            source=low[t.source],
+            target=low.get(t.target, t.target),
+            photon_probability=level * t.photon_probability,
+        )
+        for t in chain.transitions
+        if t.source in low
+    ]
+    switching = [
+        change
+        for ground in grounds
+        for change in (Transition(ground, low[ground], to_low_per_s), Transition(low[ground], ground, to_full_per_s))
+    ]
+    share = to_low_per_s / (to_low_per_s + to_full_per_s)
     start = dict(chain.start)
-    for ground, excited in chain.emitting_pairs():
-        low = {name: chain.free_name(f"{name}_low") for name in (ground, excited)}
-        copies = [
-            replace(
-                t,
-                source=low[t.source],
-                target=low.get(t.target, t.target),
-                photon_probability=level * t.photon_probability,
-            )
-            for t in chain.transitions
-            if t.source in low
-        ]
-        chain = replace(chain, states=(*chain.states, *low.values()))
-        switching = Transition(ground, low[ground], to_low_per_s), Transition(low[ground], ground, to_full_per_s)
-        chain = chain.with_transitions(*copies, *switching)
-        bright = start.get(ground, 0.0)
-        start |= {ground: bright * (1 - low_share), low[ground]: bright * low_share}
-    return chain.starting(start)
+    for full, copy in low.items():
+        start |= {full: start.get(full, 0.0) * (1 - share), copy: start.get(full, 0.0) * share}
+    chain = replace(chain, states=(*chain.states, *low.values()))
+    return chain.with_transitions(*copies, *switching).starting(start)
 
 
 class DimPopulation(Effect):

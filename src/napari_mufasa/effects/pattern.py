@@ -36,6 +36,7 @@ class PixelGainVariation(Effect):
     kind = "pixel_gain_variation"
     stage = STAGE
     strength = "rms"
+    order = 1  # a pixel's answer to all charge that is born in it
     title = "Pixel response non-uniformity"
     what_it_is = "Pixels answer the same light with different signals."
     what_it_does = "A fixed pattern that grows with the signal."

@@ -61,8 +61,9 @@ class Effect(Values):
     describes_only : whether it repeats what a movie shows, whatever caused it: considered where no effect with a law
         of its own explains anything more, and no rival of one
     hides_molecules : whether it leaves many molecules too dim to be found one by one
-    order : effects are applied in the model's order, those of a lower number before. What adds molecules that others
-        shall act on comes first (−1), what adds molecules of another kind last (1), what acts on all of them later (2)
+    order : effects are applied by this number, those of one number by their kinds, however a model lists them. What
+        adds molecules that others shall act on comes first (−1), what adds molecules of another kind last (1), what
+        acts on all of them later (2); what happens to the charge of a sensor as it happens there
     """
 
     kind: ClassVar[str] = ""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from napari_mufasa.errors import MufasaError
 
@@ -81,6 +82,12 @@ class Chain:
         """`name`, or `name` with a number, such that no state has it yet."""
         names = [name, *(f"{name}_{i}" for i in range(2, len(self.states) + 3))]
         return next(n for n in names if n not in self.states)
+
+    def returning(self, state: str) -> list[str]:
+        """The states that a molecule goes to and fro between, among them `state`."""
+        moves = (self.matrix(driven=False) + self.matrix(driven=True)) > 0
+        _, part = connected_components(moves, connection="strong")
+        return [s for s, k in zip(self.states, part, strict=True) if k == part[self.states.index(state)]]
 
     def emitting_pairs(self) -> list[tuple[str, str]]:
         """(ground, excited) of every transition that releases photons."""

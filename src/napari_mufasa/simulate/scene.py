@@ -243,7 +243,7 @@ def build_scene(model: Model, positions_px: NDArray[np.floating[Any]], streams: 
         background=np.ones(n),
         reference=(model.effects_refer_to or Extent()).within(model.acquisition),
     )
-    for effect in sorted(model.effects, key=lambda e: e.order):
+    for effect in sorted(model.effects, key=lambda e: (e.order, e.kind)):  # in whatever order they are listed
         effect.apply(scene, streams.of(f"effect {effect.kind}"))
     return scene
 
