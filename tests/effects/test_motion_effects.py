@@ -139,6 +139,25 @@ def test_gliding_molecules_keep_a_velocity_of_their_own(form):
         assert back == (0 if form == "one_way" else pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(moving.sum())))
 
 
+def test_molecules_are_lit_as_the_field_is_where_they_have_come_to():
+    """A beam that falls off from 1.5 to 0.5 of the mean along x, and 20 px through it."""
+    model = plain(n_frames=40, shape=(40, 60), **{"optics.background_photons_per_px": 0})
+    beam = effect("illumination_profile", edge_dimming=2 / 3, direction_deg=180.0, form="linear")
+    moves = {
+        "directed_motion": {"speed_px_per_frame": 0.5, "moving": 1.0, "axis_deg": 0.0, "form": "one_way"},
+        "stage_drift": {"distance_px": 20.0, "direction_deg": 0.0},
+    }
+    places = np.column_stack([np.full(2000, 20.0), np.full(2000, 10.0)])
+    for kind, values in moves.items():
+        model_there = model.with_effects(effect(kind, **values), beam)
+        scene = scene_of(model_there, places)
+        counts = simulate(model_there, places, seed=1).emission / 67.249
+        moved = scene.shift_px[:, None] + (0 if scene.walk_px is None else scene.walk_px)
+        light = 1.5 - (places[:, 1] + np.broadcast_to(moved, (40, 2000, 2))[..., 1] + 0.5) / 60
+        assert light[0].mean() - light[-1].mean() > 0.2
+        assert counts.mean(axis=0) == pytest.approx(light.mean(axis=1), abs=4 * np.sqrt(1.4 / 67 / 2000))
+
+
 def test_gliding_adds_to_diffusion():
     both = [effect("directed_motion", moving=1.0), effect("molecule_diffusion", diffusion_px2_per_frame=0.04)]
     scene = scene_of(plain(n_frames=101).with_effects(*both), np.zeros((400, 2)), 1)

@@ -41,7 +41,8 @@ class IlluminationProfile(Effect):
         le=0.99,
         plausible=(0.05, 0.85),
         unit="",
-        description="light lost at the field's dimmest edge",
+        description="light lost where the field is dimmest ('linear', 'beam'), a half field from the beam's middle "
+        "('gaussian'), 1.12 half fields from it ('off_centre')",
     )
     direction_deg: float = bright_side(forms=("off_centre", "linear"))
     centre_y: float = centre_along("y", "beam")

@@ -64,8 +64,10 @@ class BackgroundGradient(Effect):
     separated_by = "spot brightness against position; a flat dye slide"
 
     relative_height: float = parameter(
-        0.4, ge=0, le=10, plausible=(0.03, 1.2), unit="", log=True, description="rise across the field / mean"
-    )
+        0.4, ge=0, le=10, plausible=(0.03, 1.2), unit="", log=True,
+        description="rise along the length of the field's longer side / mean ('linear'), or of the highest place over "
+        "the lowest ('hump', 'as_seen')",
+    )  # fmt: skip
     direction_deg: float = bright_side(forms=("linear",))
     centre_y: float = centre_along("y", "hump")
     centre_x: float = centre_along("x", "hump")

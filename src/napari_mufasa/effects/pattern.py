@@ -147,7 +147,7 @@ class HotPixels(Effect):
         2e-3, ge=0, le=0.5, plausible=(1e-4, 2e-2), unit="", log=True, description="share of pixels that leak"
     )
     electrons: float = parameter(
-        10.0, gt=0, plausible=(2, 50), unit="e⁻/frame", log=True, description="mean leak of a hot pixel"
+        10.0, gt=0, plausible=(2, 50), unit="e⁻/frame", log=True, description="mean leak of a hot pixel while it leaks"
     )
     form: Literal["steady", "telegraph"] = "steady"
 

@@ -291,7 +291,9 @@ class BrightnessHeterogeneity(Effect):
     strength = "spread"
     hides_molecules = True
     title = "Unequal brightness"
-    what_it_is = "Molecules differ in orientation and surroundings, so they absorb and shine unequally."
+    what_it_is = (
+        "Molecules differ in orientation and surroundings, so that more light is collected of some than of others."
+    )
     what_it_does = "Levels differ from spot to spot; each spot keeps its own, and bleaches in one step."
     how_to_check = "Rotate the polarisation: fixed molecules change their level; count the bleaching steps: one each."
     observables = ("level_spread", "level_quantile")
@@ -326,7 +328,7 @@ def absorption_of_dipoles(spread: float, n: int, rng: np.random.Generator) -> ND
     light sin² of its angle to the optical axis (sd 1/√5 of the mean), in linearly polarised light cos² of its angle to
     the field (sd 2/√5). A smaller spread is one of molecules that tumble for a part of the time, one in between is of
     partly polarised light; there is none beyond (means of powers of direction cosines: Fourkas, Opt. Lett. 26, 211,
-    2001).
+    2001). Only the light that is collected follows it here, not how fast a molecule bleaches.
     """
     fixed = min(spread * 5**0.5, 1.0)
     polarised = min(max(spread**2 - 1 / 5, 0.0) / (3 / 5), 1.0) ** 0.5

@@ -132,7 +132,8 @@ class Optics(Part):
         1.0,
         ge=0,
         le=1,
-        description="share of the variance of emitted photons that detection adds its own to; 0 = counted once",
+        description="share of the variance of emitted photons that detection adds its own to; 0 = counted once; "
+        "below 1 for the fast engine only",
     )
     high_resolution_factor: int | None = Field(
         None,

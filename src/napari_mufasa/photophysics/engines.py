@@ -63,15 +63,16 @@ def simulate_photons(
         raise MufasaError(f"engine {engine!r} is unknown: choose 'fast' or 'exact'")
     rows = len(drive) if with_expected else 0
     if engine == "fast":
-        brightest = float(np.max(drive, initial=0.0) * np.max(exposure.light, initial=0.0))
-        if exposure.of_each is not None:
-            brightest *= float(np.max(exposure.of_each, initial=0.0))
+        most = drive if exposure.of_each is None else drive * np.max(exposure.of_each, axis=1, initial=0.0)
+        brightest = float(np.max(most, initial=0.0) * np.max(exposure.light, initial=0.0))
         merged = merge_bright_states(chain, brightest, exposure.exposure_s)
         if isinstance(merged, str):  # in words that stay the same: told once, however many movies a diagnosis simulates
             warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
         else:
             bright_chain, photon_rates = merged
             return _emitted(bright_chain, photon_rates, drive, exposure, streams, population, workers, rows)
+    if with_expected:
+        warnings.warn("exact engine: all noise of emission is kept (optics.emission_noise is 1 there)", stacklevel=2)
     photons, _ = _emitted(chain, np.zeros(len(chain.states)), drive, exposure, streams, population, workers, 0)
     return photons, photons[:rows].astype(np.float64)
 

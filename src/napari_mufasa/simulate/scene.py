@@ -149,6 +149,19 @@ class Scene:
         if self.walk_px is not None:
             self.walk_px[:, -n:] = self.walk_px[:, :n]
 
+    def follow_light(self) -> None:
+        """Light each molecule that moves as the field is where it has come to."""
+        if not self.light_field or (self.walk_px is None and not self.shift_px.any()):
+            return
+        first = np.maximum(self.drive(), np.finfo(float).tiny)
+        course = np.empty((len(first), self.n_frames), np.float32)
+        for frame in range(self.n_frames):
+            at = self.positions_px + self.shift_px[frame]
+            if self.walk_px is not None:
+                at = at + self.walk_px[frame]
+            course[:, frame] = self.light_at(at[:, 0], at[:, 1]) / first
+        self.light_each(course)
+
     def light_each(self, course: NDArray[np.float32]) -> None:
         """Multiply the light of each molecule by its course (molecule, frame)."""
         self.light_of_each = course if self.light_of_each is None else self.light_of_each * course
@@ -245,6 +258,7 @@ def build_scene(model: Model, positions_px: NDArray[np.floating[Any]], streams: 
     )
     for effect in sorted(model.effects, key=lambda e: (e.order, e.kind)):  # in whatever order they are listed
         effect.apply(scene, streams.of(f"effect {effect.kind}"))
+    scene.follow_light()
     return scene
 
 
