@@ -46,6 +46,18 @@ def test_the_power_comes_true_in_movies_looked_at_one_by_one(found):
     assert stats.fisher_exact(table).pvalue > 0.002
 
 
+def test_an_effect_is_seen_whichever_way_it_points():
+    """A diagnosis reads its direction off the movie, so that the power does not depend on it."""
+    gradient, kinds = nm.catalogue()["background_gradient"], ["background_gradient", "row_noise"]
+    evidence = []
+    for direction in (0.0, 90.0, 180.0, 270.0):
+        added = gradient(relative_height=0.3, direction_deg=direction)
+        (found,) = nm.power(small(), added, movies=12, dark_frames=20, effects=kinds, seed=3)
+        assert found.seen >= 9  # of 12 with a chance of 0.95 or more: fewer by chance in 0.2 % of all
+        evidence.append(found.evidence)
+    assert max(evidence) < 2 * min(evidence)
+
+
 def test_the_interval_holds_the_share():
     for seen in (0, 7, 40):
         low, high = Power(ROWS(), 40, seen, 0, 1.0, 10.0).interval

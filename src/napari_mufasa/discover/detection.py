@@ -16,7 +16,9 @@ from scipy import stats
 from napari_mufasa import checks
 from napari_mufasa.discover.coordinates import changed, hard_limits
 from napari_mufasa.discover.investigation import Investigation
+from napari_mufasa.discover.library import Library, as_seen, simulated_rays
 from napari_mufasa.discover.measurement import cropped
+from napari_mufasa.discover.state import Ray
 from napari_mufasa.effects import Effect
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
@@ -122,14 +124,15 @@ def power(
         raise MufasaError(f"{effect.kind} is not among the effects considered, or does not suit the camera")
     stand = inquiry.stand
     bench, state, needed = inquiry.bench, stand.state, stand.needed
-    bench.plan(movies * len(cases))
+    bench.plan((movies + len(stand.library.rays[effect.kind])) * len(cases))
     found = []
     for case in cases:
         rows = bench.rows([(state.model.with_effects(case), FIRST_SEED + k) for k in range(movies)])
         rows = np.where(
             np.isfinite(rows), rows, state.mean
         )  # what a movie does not show speaks neither for nor against
-        leads = [{kind: forms[0].gain for kind, forms in state.screen(x, stand.library.rays).items()} for x in rows]
+        rays = stand.library.rays | _as_read(stand.library, case)
+        leads = [{kind: forms[0].gain for kind, forms in state.screen(x, rays).items()} for x in rows]
         seen = [gains for gains in leads if gains[case.kind] > needed]
         first = sum(max(gains, key=lambda kind: gains[kind]) == case.kind for gains in seen)
         evidence = float(np.median([gains[case.kind] for gains in leads]))
@@ -153,6 +156,15 @@ def strength_seen(found: Sequence[Power], share: float = 0.9) -> float | None:
         at = float(ends[0] + part * (ends[1] - ends[0]))
         return float(np.exp(at)) if (x > 0).all() else at
     return None
+
+
+def _as_read(library: Library, case: Effect) -> dict[str, list[Ray]]:
+    """The rays of an effect turned as it is: a diagnosis reads directions and the like off the movie that has it."""
+    read = library.bench.read_off(case.kind)
+    seen = {name: getattr(case, name) for name, value in read.items() if isinstance(value, float)}
+    if not seen:
+        return {}
+    return simulated_rays(library, {case.kind: as_seen([ray.effect for ray in library.rays[case.kind]], seen)})
 
 
 def _at(effect: Effect, strength: float) -> Effect:

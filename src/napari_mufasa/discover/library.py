@@ -193,15 +193,22 @@ def with_rays(library: Library, kinds: Sequence[str]) -> Library:
 
 
 def _rays(library: Library, kinds: Sequence[str]) -> dict[str, list[Ray]]:
-    bench, model, rows = library.bench, library.base.model, library.rows
-    jobs: list[tuple[Effect, int]] = []
+    bench, model = library.bench, library.base.model
+    settings_of = {}
     for kind in kinds:
         settings = ray_settings(catalogue()[kind], model, np.random.default_rng([bench.seed, *kind.encode()]))
         # What a law shows in the place of another, too, is all that was measured.
         seen = bench.read_off(kind, model if catalogue()[kind].describes_only else None)
-        jobs += [(effect, i % 8) for i, effect in enumerate(as_seen(settings, seen))]
+        settings_of[kind] = as_seen(settings, seen)
+    return simulated_rays(library, settings_of)
+
+
+def simulated_rays(library: Library, settings_of: Mapping[str, Sequence[Effect]]) -> dict[str, list[Ray]]:
+    """The rays of each kind's settings."""
+    model, rows = library.base.model, library.rows
+    jobs = [(effect, i % 8) for settings in settings_of.values() for i, effect in enumerate(settings)]
     found = library.simulated([(library.beside(library.base, effect), number) for effect, number in jobs])
-    rays: dict[str, list[Ray]] = {kind: [] for kind in kinds}
+    rays: dict[str, list[Ray]] = {kind: [] for kind in settings_of}
     for (effect, number), row in zip(jobs, found, strict=True):
         rays[effect.kind].append(Ray(effect, row - rows[number], effect.none_at(model)))
     return rays
