@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -32,6 +33,14 @@ class Line:
     asked: str = ""
 
     @property
+    def met(self) -> str:
+        """ "yes" or "no": is what is `asked`, a share or all, what was counted?"""
+        share = self.hits / self.of
+        bound = float(re.search(r"[\d.]+", self.asked.replace("all", "100"))[0]) / 100
+        enough = self.of >= int(re.search(r"of ≥ (\d+)|$", self.asked)[1] or 0)
+        return "yes" if enough and (share <= bound if "≤" in self.asked else share >= bound) else "no"
+
+    @property
     def interval(self) -> tuple[float, float]:
         """The 95 % interval of the share (Wilson, J. Am. Stat. Assoc. 22, 209, 1927)."""
         found = stats.binomtest(self.hits, self.of).proportion_ci(0.95, "wilson")
@@ -56,7 +65,7 @@ def asked(rows: Sequence[Row]) -> list[Line]:
         _shares("three to five: effects found", many, right, hidden, "≥ 85 %"),
         _shares("three to five: wrong names of those given", many, wrong, _chosen, "≤ 5 %"),
         _count(f"three to five: error after ≤ {AT_FLOOR} floors", many, at_the_floor, "≥ 80 %"),
-        _count("three to five: `missing_effect` there", at_floor, missing_effect, "all"),
+        _count("three to five: `missing_effect` where it is", at_floor, missing_effect, "all"),
         _count("… beside one off the catalogue: `unexplained`", off, unexplained, "≥ 80 %"),
         _shares("… beside one off the catalogue: effects found", off, right, hidden, "≥ 75 %"),
         _count("nothing hidden: `adequate`", group(rows, "null"), adequate, "≥ 97 % of ≥ 200"),

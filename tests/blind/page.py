@@ -64,7 +64,7 @@ def summary(rows: Sequence[Row]) -> str:
     sets = judging.credible_sets(rows)
     size = f"{sum(size for _, size in sets) / len(sets):.2f} names" if sets else "none"
     return (
-        f"{_lines(judging.asked(rows), ('asked',))}\n"
+        f"{_lines(judging.asked(rows), ('asked', 'met'))}\n"
         "Known forms are laws of the catalogue, too (`tests/blind/forms.py`). Intervals: where the form chosen is the\n"
         f"one hidden. A credible set is a name and what the report says it could also be (mean size: {size}).\n\n"
         f"{_lines(judging.beside(rows), ())}"
@@ -78,7 +78,7 @@ def _lines(lines: Iterable[Line], more: tuple[str, ...]) -> str:
         if line.of:
             low, high = line.interval
             cells[1:] = [f"{100 * line.hits / line.of:.1f} %", f"{100 * low:.1f} … {100 * high:.1f} %"]
-        table.append([line.what, *cells, *([line.asked] if more else [])])
+        table.append([line.what, *cells, *([line.asked, line.met if line.of else ""] if more else [])])
     return _table(table)
 
 

@@ -162,7 +162,7 @@ def test_several_effects_at_once_are_counted_one_by_one():
     lines = judging.asked(rows)
     found, wrong = line(lines, "three to five: effects found"), line(lines, "three to five: wrong names")
     assert (found.hits, found.of, wrong.hits, wrong.of) == (9, 12, 1, 10)
-    assert line(lines, "three to five: error").hits == line(lines, "`missing_effect` there").of == 2
+    assert line(lines, "three to five: error").hits == line(lines, "`missing_effect` where it is").of == 2
     assert line(lines, "`unexplained`").hits == 1
 
 
@@ -253,3 +253,15 @@ def test_a_group_that_did_not_run_is_said_not_to_have_run():
 def test_what_cannot_be_run_is_refused(page, wrong):
     with pytest.raises(SystemExit):
         trial.main(wrong)
+
+
+@pytest.mark.parametrize(
+    ("hits", "of", "asked", "met"),
+    [
+        (19, 20, "≥ 95 %", "yes"), (18, 20, "≥ 95 %", "no"), (1, 20, "≤ 5 %", "yes"), (2, 20, "≤ 5 %", "no"),
+        (5, 5, "all", "yes"), (4, 5, "all", "no"), (195, 200, "≥ 97 % of ≥ 200", "yes"),
+        (99, 99, "≥ 97 % of ≥ 200", "no"),
+    ],
+)  # fmt: skip
+def test_the_page_says_whether_a_bound_is_met(hits, of, asked, met):
+    assert judging.Line("", hits, of, asked).met == met
