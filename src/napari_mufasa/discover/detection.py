@@ -149,7 +149,7 @@ def strength_seen(found: Sequence[Power], share: float = 0.9) -> float | None:
     for weaker, stronger in zip([None, *ordered], ordered, strict=False):
         if stronger.share < share:
             continue
-        if weaker is None or stronger.share == weaker.share:
+        if weaker is None:
             return stronger.strength
         part = (share - weaker.share) / (stronger.share - weaker.share)
         ends = scale(np.array([weaker.strength, stronger.strength]))

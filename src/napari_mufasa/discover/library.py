@@ -36,7 +36,7 @@ class Library:
     """The base state, its paired simulations (simulation, part, observable) and rays.
 
     without : what is known of the base state without some of its effects · formed : and with one in another form ·
-    earlier : kinds of effects whose rays are those beside an earlier base state
+    earlier : kinds of effects whose rays are those beside an earlier base state, until a look has renewed some
     """
 
     bench: Bench[Any]
@@ -139,9 +139,9 @@ def build(
     base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
     library = Library(bench, base, rows, {})
     library = with_halves(library, added)
-    known = {kind: last[kind] for kind in kinds if last and kind in last}
-    library = replace(library, rays=known, earlier=frozenset(known))
-    return with_rays(library, [kind for kind in kinds if kind not in known])
+    earlier = {kind: last[kind] for kind in kinds if last and kind in last}
+    library = replace(library, rays=earlier, earlier=frozenset(earlier))
+    return with_rays(library, [kind for kind in kinds if kind not in earlier])
 
 
 def with_halves(library: Library, kinds: Sequence[str]) -> Library:

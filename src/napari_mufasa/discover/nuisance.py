@@ -1,6 +1,6 @@
 """Nuisance values: what is re-fitted before anything is called missing (docs/discovery.md).
 
-Each is a coordinate with a natural step; 0 is the model it started from. Brightness, background, PSF width,
+Each is a coordinate with a natural step; 0 is where the model stands. Brightness, background, PSF width,
 baseline and density are free; gain and read noise may move only as far as data sheets are wrong.
 """
 

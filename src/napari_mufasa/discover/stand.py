@@ -206,7 +206,7 @@ class Stand:
         shares = {
             other: max(_shared(moves, ray.shift, self.state.spread) for ray in rays)
             for other, rays in self.library.rays.items()
-            if rays and not effect_class(other).describes_only
+            if not effect_class(other).describes_only
         }
         alike = sorted((other for other in shares if shares[other] > ALIKE), key=lambda other: -shares[other])
         leads = beside.screen(self.x, {other: self.library.rays[other] for other in alike})
@@ -270,7 +270,7 @@ class Stand:
             k: rays
             for k, rays in self.library.rays.items()
             if k not in self.added and are_rivals(k, kind) and are_rivals(k, other)
-            if rays and not effect_class(k).describes_only
+            if not effect_class(k).describes_only
         }
 
     def knowing(self, kind: str, worth: Worth) -> Stand:

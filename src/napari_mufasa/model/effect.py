@@ -141,8 +141,7 @@ class Effect(Values):
     @classmethod
     def forms(cls) -> tuple[str, ...]:
         """The functional forms the effect offers (its ``form`` field), or one unnamed form."""
-        field = cls.model_fields.get("form")
-        return tuple(getattr(field.annotation, "__args__", ())) if field is not None else ("",)
+        return cls.choices().get("form", ("",))
 
     def parameters(self) -> dict[str, Any]:
         """Name and value of what matters to the effect's form."""
