@@ -190,6 +190,45 @@ def test_denoised_photons_are_unbiased_and_nearer_to_the_light(cli, movie_file, 
     assert leftovers(tmp_path) == ["d.tif", "d.zarr"]
 
 
+@pytest.fixture(scope="module")
+def photons_file(movie_file, model_file) -> Path:
+    path = movie_file.with_name("photons.ome.tif")
+    with pytest.raises(SystemExit) as left:
+        main(["denoise", str(movie_file), "--model", str(model_file), "--out", str(path)])
+    assert not left.value.code
+    return path
+
+
+def test_a_denoised_file_says_what_it_holds(cli, photons_file, model_file):
+    found = files.read_movie(photons_file)
+    assert (found.metadata["role"], found.metadata["unit"]) == ("photons", "photons per pixel and frame")
+    assert Model.stored_in(found.metadata) == Model.from_json(model_file) and found.seed is None
+    code, out, _ = cli("info", photons_file)
+    assert code == 0 and "photons per pixel and frame" in out
+
+
+@pytest.mark.parametrize("verb", ["denoise", "compare", "calibrate", "propose", "diagnose", "refine"])
+def test_verbs_that_need_counts_refuse_photons(cli, told, photons_file, model_file, tmp_path, verb):
+    out = tmp_path / {"denoise": "d.tif", "calibrate": "c.json", "propose": "m.json"}.get(verb, "folder")
+    others = [] if verb in ("calibrate", "propose") else ["--model", model_file]
+    others += ["--add", "stage_drift"] if verb == "refine" else []
+    code, _, err = cli(verb, photons_file, *others, "--out", out)
+    assert code == 2 and "holds photons, not camera counts" in err and err.count("\n") == 1
+    assert leftovers(tmp_path) == []
+
+
+def test_traces_of_photons_have_the_level_of_traces_of_counts(cli, photons_file, movie_file, model_file, tmp_path):
+    levels = []
+    for name, movie in (("counts", movie_file), ("photons", photons_file)):
+        assert cli("traces", movie, "--model", model_file, "--out", tmp_path / name)[0] == 0
+        molecules = pd.read_csv(tmp_path / name / "molecules.csv")
+        levels.append(molecules["brightness"][molecules["kept"]].median())
+    # Of the same molecules; denoising moves a little of their light to neighbouring pixels.
+    assert levels[1] == pytest.approx(levels[0], rel=0.1)
+    code, _, err = cli("traces", photons_file, "--model", model_file, "--dark", movie_file, "--out", tmp_path / "dark")
+    assert code == 2 and "--dark belongs to camera counts" in err
+
+
 def test_traces_are_tables_whose_level_is_the_designs(cli, movie_file, model_file, tmp_path):
     from napari_mufasa.design.predict import predict
 

@@ -215,3 +215,17 @@ def test_tables_come_back(tmp_path):
     table = pd.DataFrame({"molecule": [0, 1], "y_px": [1.5, 2.25], "reason": ["", "touching a neighbour"]})
     files.write_table(tmp_path / "t.csv", table)
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "t.csv", keep_default_na=False), table)
+
+
+@pytest.mark.parametrize("name", ["p.ome.tif", "p.zarr"])
+def test_photons_stay_photons_in_files_and_layers(tmp_path, name):
+    from napari_mufasa.files import layers
+
+    photons = MOVIE.astype(np.float32)
+    files.write_movie(tmp_path / name, [photons], MOVIE.shape, np.float32, role=files.PHOTONS)
+    assert files.read_movie(tmp_path / name).unit == "photons"
+    with pytest.raises(MufasaError, match="holds photons, not camera counts"):
+        files.load(tmp_path / name, recorded=True)
+    ((data, options, _),) = layers.read_layers(str(tmp_path / name))
+    layers.write_image(str(tmp_path / f"again.{name}"), data, options | {"scale": (1, 1, 1)})
+    assert files.read_movie(tmp_path / f"again.{name}").metadata["role"] == "photons"

@@ -105,8 +105,8 @@ class _Movie:
                     kept.append(step)
                     continue
                 if read is None:
-                    read = files.read_movie(entry.movie)
-                    dark = None if entry.dark is None else files.load(entry.dark)
+                    read = files.read_movie(entry.movie).recorded()
+                    dark = None if entry.dark is None else files.load(entry.dark, recorded=True)
                     told |= dict(zip(("frames", "height", "width"), read.data.shape, strict=True))
                 if done is not None:  # of another run; while its parts are replaced it is none
                     (place / DONE).unlink()

@@ -21,8 +21,8 @@ def denoise(folder: Path, movie: files.Movie, model: Model, dark: Any, settings:
     from napari_mufasa.denoise.pipeline import denoised
 
     blocks = (block for _, block in denoised(movie.data, model.camera, method=settings.method, **work))
-    size_nm = model.acquisition.pixel_size_nm
-    files.write_movie(folder / "denoised.ome.tif", blocks, movie.data.shape, np.float32, pixel_size_nm=size_nm)
+    shape, role = movie.data.shape, files.PHOTONS
+    files.write_movie(folder / "denoised.ome.tif", blocks, shape, np.float32, model=model, role=role)
     return {}
 
 

@@ -51,8 +51,8 @@ def calibrate(
         if path is not None:
             console.check_file_out(path, overwrite)
             console.check_not_read(path, movie, dark)
-    recorded = files.read_movie(movie).data
-    background = None if dark is None else files.load(dark)
+    recorded = files.read_movie(movie).recorded().data
+    background = console.dark_frames(dark)
     written = read_instrument(movie)
     with console.working("calibrating") as work:
         found = measure(
@@ -110,8 +110,8 @@ def propose(
         if path is not None:
             console.check_file_out(path, overwrite)
             console.check_not_read(path, movie, dark)
-    recorded = files.read_movie(movie).data
-    background = None if dark is None else files.load(dark)
+    recorded = files.read_movie(movie).recorded().data
+    background = console.dark_frames(dark)
     with console.working("proposing") as work:
         found = propose_model(
             recorded, background, instrument=read_instrument(movie), camera_type=camera_type, em_gain=em_gain,
@@ -166,6 +166,7 @@ def info(movie: MovieFile) -> None:
         ("pixels", f"{height} × {width}"),
         ("numbers", str(read.data.dtype)),
     ]
+    rows += [(name, read.metadata[name]) for name in ("role", "unit") if read.metadata.get(name)]
     rows += list(read.instrument.known().items())
     rows += [("model", f"{model.get('protocol')}, seed {read.seed}")] if isinstance(model, dict) else []
     console.print_table(("what", "value"), rows)

@@ -22,6 +22,7 @@ from napari_mufasa import checks, cluster, provenance
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
+    from napari_mufasa.files import Movie
     from napari_mufasa.model.model import Model
     from napari_mufasa.traces.extract import TraceSet
 
@@ -244,6 +245,15 @@ def tell_mismatches(path: Path, movie: Any, model: Model, dark: Any = None) -> N
         note(f"the model may not belong to this movie: {mismatch.words}")
     if any(mismatch.field.startswith("camera") for mismatch in found):
         note(f"'napari-mufasa propose {path}' makes a model of the movie itself")
+
+
+def dark_frames(path: Path | None, movie: Movie | None = None) -> Any:
+    """Frames without light, (frame, y, x) in memory; None without a file. `movie`: what they are the dark frames of."""
+    from napari_mufasa import files
+
+    if path is not None and movie is not None and movie.unit != "adu":
+        raise MufasaError(f"--dark belongs to camera counts; {movie.path} holds {movie.unit}: drop it")
+    return None if path is None else files.load(path, recorded=True)
 
 
 def tell_molecules(out: Path, found: TraceSet) -> None:

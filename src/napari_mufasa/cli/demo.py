@@ -154,8 +154,7 @@ def open_viewer(directory: Path) -> None:
     viewer.add_image(dark, **(dark_options | space | {"visible": False, "metadata": ours}))
     movie = viewer.add_image(data, **options)
     photons, photons_options, _ = movie_layer(directory / "denoised.ome.tif")
-    ours = {files.METADATA_KEY: {"role": "photons"}}
-    viewer.add_image(photons, **(photons_options | space | {"visible": False, "metadata": ours}))
+    viewer.add_image(photons, **(photons_options | space | {"visible": False}))
     table = pd.read_csv(directory / "molecules.csv")
     kept = table[table["kept"]].reset_index(drop=True)
     viewer.add_points(
@@ -173,8 +172,7 @@ def open_viewer(directory: Path) -> None:
 
 
 def _write(path: Path, photons: np.ndarray[Any, Any], model: Model) -> None:
-    size_nm = model.acquisition.pixel_size_nm
-    files.write_movie(path, [photons], photons.shape, photons.dtype, pixel_size_nm=size_nm)
+    files.write_movie(path, [photons], photons.shape, photons.dtype, model=model, role=files.PHOTONS)
 
 
 def _w1(comparison: Any) -> str:

@@ -68,7 +68,7 @@ def diagnose(
     overwrite: Overwrite = False,
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
-    from napari_mufasa import discover, files
+    from napari_mufasa import discover
     from napari_mufasa.model.model import Model
 
     console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark, check)
@@ -91,7 +91,7 @@ def diagnose(
     for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
         if given is not None:
             raise MufasaError(f"{name} belongs to a table of traces; add --traces if this is one")
-    whole, dark_frames = believed, None if dark is None else files.load(dark)
+    whole, dark_frames = believed, console.dark_frames(dark)
     recorded, believed, background = _loaded(movie, whole, dark_frames, channel)
     with console.working("diagnosing", scheduler) as work:
         report = discover.diagnose(recorded, believed, background, seed=seed, budget=budget, **work.all())
@@ -120,13 +120,13 @@ def refine(
     overwrite: Overwrite = False,
 ) -> None:
     """Add the effects you name, fit them, and show how the error changes."""
-    from napari_mufasa import discover, files
+    from napari_mufasa import discover
     from napari_mufasa.model.model import Model
 
     console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark)
     believed = Model.from_json(model)
     effects = [_effect(believed, text) for text in add]
-    background = None if dark is None else files.load(dark)
+    background = console.dark_frames(dark)
     recorded, believed, background = _loaded(movie, believed, background)
     with console.working("refining", scheduler) as work:
         report = discover.refine(recorded, believed, effects, background, seed=seed, **work.all())
@@ -199,7 +199,7 @@ def _loaded(movie: Path, model: Model, dark: Any, channel: str | None = None) ->
 
     from napari_mufasa import checks, files
 
-    read, model, dark = one_channel(channel, files.read_movie(movie), model, dark)
+    read, model, dark = one_channel(channel, files.read_movie(movie).recorded(), model, dark)
     console.tell_disagreement(read, model)
     if channel is None:
         recorded = files.load(movie)

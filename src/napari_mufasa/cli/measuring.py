@@ -45,8 +45,6 @@ from napari_mufasa.cli.options import (
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
-    from napari_mufasa import files
-    from napari_mufasa.model.model import Model
     from napari_mufasa.model.setup import Camera
 
 # What verbs write, as patterns.
@@ -85,8 +83,8 @@ def denoise(
     console.check_movie_out(out, overwrite)
     console.check_not_read(out, movie, model, dark)
     believed = None if model is None else Model.from_json(model)
-    background = None if dark is None else files.load(dark)
-    read, believed, background = registering.one_channel(channel, files.read_movie(movie), believed, background)
+    background, read = console.dark_frames(dark), files.read_movie(movie).recorded()
+    read, believed, background = registering.one_channel(channel, read, believed, background)
     recorded = read.data
     if believed is not None:
         console.tell_disagreement(read, believed)
@@ -100,17 +98,13 @@ def denoise(
         made_from = {"denoise": method, "camera": camera.model_dump(mode="json"), **files.signature(movie)}
         made_from |= {} if channel is None else {"channel": channel}
         files.write_movie(
-            out, blocks, recorded.shape, np.float32, pixel_size_nm=_pixel_size_nm(believed, read),
-            resume=made_from if resume else None,
+            out, blocks, recorded.shape, np.float32, model=believed, role=files.PHOTONS,
+            pixel_size_nm=read.pixel_size_nm if believed is None else None, resume=made_from if resume else None,
         )  # fmt: skip
     if believed is None:
         typer.echo(_camera_measured(camera))
     n_frames, height, width = recorded.shape
     typer.echo(f"{out}: {n_frames} frames of {height} × {width} px, photons per pixel and frame")
-
-
-def _pixel_size_nm(believed: Model | None, movie: files.Movie) -> float | None:
-    return movie.pixel_size_nm if believed is None else believed.acquisition.pixel_size_nm
 
 
 def _camera_measured(camera: Camera) -> str:
@@ -181,13 +175,19 @@ def traces(
         registering.pair_traces(movie, model, dark, channels, out, options | of_two, hdf5, openfret)
         return
     believed, read = Model.from_json(model), files.read_movie(movie)
-    background = None if dark is None else files.load(dark)
+    background = console.dark_frames(dark, read)
     read, believed, background = registering.one_channel(channel, read, believed, background)
     recorded = read.data
     console.tell_disagreement(read, believed)
     with console.working("traces", scheduler) as work:
         found = extract_traces(
-            recorded, believed.camera, background, psf_sigma_px=believed.sigma_px, **options, **work.all()
+            recorded,
+            believed.camera,
+            background,
+            psf_sigma_px=believed.sigma_px,
+            unit=read.unit,
+            **options,
+            **work.all(),
         )
     with console.filling(out, believed, None, (movie, model, dark)) as folder:
         write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
@@ -233,8 +233,7 @@ def compare(
     shared: dict[str, Any] = {"window": window, "best": best, "seed": seed, "sofi_times": sofi_times}
     if movie is not None:
         console.tell_disagreement(files.read_movie(movie), believed)
-        recorded = files.load(movie)
-        background = None if dark is None else files.load(dark)
+        recorded, background = files.load(movie, recorded=True), console.dark_frames(dark)
         console.tell_mismatches(movie, recorded, believed, background)
         with console.working("comparing") as work:
             result = comparing.compare_movie(

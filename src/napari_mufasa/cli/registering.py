@@ -85,15 +85,22 @@ def pair_traces(
     from napari_mufasa.report.lines import efficiency_line
 
     believed, registered = Model.from_json(model), Channels.from_json(channels)
-    recorded = files.read_movie(movie).data
-    background = None if dark is None else files.load(dark)
+    read = files.read_movie(movie)
+    background = console.dark_frames(dark, read)
     with console.working("traces") as work:
         found = extract_pair(
-            recorded, believed.camera, registered, background, psf_sigma_px=believed.sigma_px, **given, **work.both()
+            read.data,
+            believed.camera,
+            registered,
+            background,
+            psf_sigma_px=believed.sigma_px,
+            unit=read.unit,
+            **given,
+            **work.both(),
         )
     with console.filling(out, believed, None, (movie, model, dark, channels)) as folder:
         write_pair(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
-        figures.write(folder, figures.pair_drawings(recorded, found))
+        figures.write(folder, figures.pair_drawings(read.data, found))
     console.tell_molecules(out, found.donor)
     typer.echo(efficiency_line(found))
 

@@ -13,7 +13,7 @@ import numpy as np
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.formats import FORMATS, is_format
 from napari_mufasa.files.instrument import Instrument
-from napari_mufasa.files.movies import METADATA_KEY, complaints, read_movie, write_movie
+from napari_mufasa.files.movies import METADATA_KEY, PHOTONS, complaints, read_movie, write_movie
 
 LayerData = tuple[Any, dict[str, Any], str]
 MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr", *FORMATS)
@@ -79,7 +79,7 @@ def movie_layer(path: str | os.PathLike[str]) -> LayerData:
         "contrast_limits": contrast(data),
     }
     written = movie.instrument.known()
-    if movie.metadata.get("model"):
+    if movie.metadata.get("model") or movie.metadata.get("role"):
         options["metadata"] = {METADATA_KEY: movie.metadata}
     elif written:
         options["metadata"] = {METADATA_KEY: {"instrument": written}}
@@ -100,7 +100,7 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     size_um = pixel_size_um(attributes["scale"], attributes["units"]) if attributes.get("units") else None
     write_movie(
         path, blocks, tuple(stack.shape), stack.dtype, model=stored.get("model"), seed=stored.get("seed"),
-        pixel_size_nm=size_um * 1000 if size_um else None,
+        pixel_size_nm=size_um * 1000 if size_um else None, role=stored.get("role"),
     )  # fmt: skip
     return [path]
 
@@ -144,7 +144,7 @@ def measurement_of(movie: Any, dark: Any = None, dark_frames: int = 0) -> Measur
                 f"the first {first} frames are called dark, but {movie.name} has {len(stack)}: give fewer dark frames"
             )
         stack, frames = stack[first:], stack[:first]
-    unit: Literal["adu", "photons"] = "photons" if stored(movie, "role") == "photons" else "adu"
+    unit: Literal["adu", "photons"] = "photons" if stored(movie, "role") == PHOTONS else "adu"
     return Measurement(stack, frames, movie.name, unit, first)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +25,14 @@ from napari_mufasa.files.whole import PathLike, replacing
 from napari_mufasa.provenance import Describes, made_by
 
 METADATA_KEY = "napari_mufasa"
+PHOTONS = "photons"  # the role of a movie that was denoised
 MOST_PACKED = 100_000  # no image is packed to less than this part of it, each page of a TIFF having its own head
 
 
 @dataclass(frozen=True)
 class Movie:
     """A movie on disk: `data` is a lazy dask array (frame, y, x); `metadata` what we wrote beside it, if we did:
-    "model" as plain data (see `Model.stored_in`) and "seed"."""
+    "model" as plain data (see `Model.stored_in`), "seed", and "role" and "unit" of what no camera recorded."""
 
     data: Any
     path: Path
@@ -40,6 +41,17 @@ class Movie:
     @property
     def seed(self) -> int | None:
         return self.metadata.get("seed")
+
+    @property
+    def unit(self) -> Literal["adu", "photons"]:
+        """What its numbers are: "photons" of a movie that was denoised, counts of a camera else."""
+        return "photons" if self.metadata.get("role") == PHOTONS else "adu"
+
+    def recorded(self) -> Movie:
+        """Itself; raises `MufasaError` when it is not what a camera recorded."""
+        if self.unit != "adu":
+            raise MufasaError(f"{self.path} holds photons, not camera counts: give the movie that it was denoised from")
+        return self
 
     @cached_property
     def instrument(self) -> Instrument:
@@ -94,9 +106,9 @@ def _opened(path: Path) -> tuple[Any, dict[str, Any]]:
     return _open_tiff(path)
 
 
-def load(path: PathLike) -> NDArray[Any]:
-    """A whole movie in memory, (frame, y, x)."""
-    movie = read_movie(path)
+def load(path: PathLike, *, recorded: bool = False) -> NDArray[Any]:
+    """A whole movie in memory, (frame, y, x); `recorded`: raises `MufasaError` for one that holds photons."""
+    movie = read_movie(path).recorded() if recorded else read_movie(path)
     checks.affordable(movie.data.nbytes, f"{path} as a whole", "crop it, or give fewer frames")
     return np.asarray(movie.data)
 
@@ -110,6 +122,7 @@ def write_movie(
     model: Describes | Mapping[str, Any] | None = None,
     seed: int | None = None,
     pixel_size_nm: float | None = None,
+    role: str | None = None,
     resume: Mapping[str, Any] | None = None,
 ) -> None:
     """Stream blocks of frames (frame, y, x) into OME-TIFF or zarr, by the suffix; memory is one block.
@@ -121,12 +134,17 @@ def write_movie(
     ----------
     frames : the blocks in order; or, as it must be to resume, a function that gives (first frame, block) in order from
         a frame on
+    role : what the movie is, where no camera recorded it: `PHOTONS` of a denoised one, per pixel and frame
     resume : what the movie is made from, as plain data: blocks that are finished are kept when the work ends early, for
         as long as what it is made from is the same. None: nothing is kept
     """
     path = Path(path)
     described = model if isinstance(model, Mapping) or model is None else model.to_dict()
     metadata: dict[str, Any] = {"model": described, "seed": None if seed is None else int(seed), **made_by()}
+    if role is not None:
+        metadata["role"] = role
+    if role == PHOTONS:
+        metadata["unit"] = "photons per pixel and frame"
     if pixel_size_nm is None:
         pixel_size_nm = _pixel_size_nm(described)
     if not (is_zarr(path) or str(path).lower().endswith((".tif", ".tiff"))):
