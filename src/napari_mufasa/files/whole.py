@@ -56,7 +56,7 @@ def replacing(path: PathLike) -> Iterator[Path]:
 @contextlib.contextmanager
 def filling(folder: PathLike) -> Iterator[Path]:
     """A temporary folder beside `folder`; its files move into it together at the end, or disappear."""
-    target = Path(folder)
+    target = Path(folder).resolve()  # "." has no name to put a temporary one beside
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = _temporary(target)
     temporary.mkdir()
