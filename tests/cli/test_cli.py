@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -421,6 +422,37 @@ def test_diagnose_notes_a_model_that_cannot_be_the_movies(cli, movie_file, model
     assert code == 0 and "darkest pixels" in err and "propose" in err
     code, _, err = cli("diagnose", movie_file, "--model", model_file, "--out", tmp_path / "e")
     assert code == 0 and "may not belong" not in err
+
+
+@pytest.mark.parametrize("verb", ["traces", "denoise", "compare"])
+def test_a_wrong_model_is_told_while_the_work_begins_with_a_command_that_works(
+    cli, movie_file, model_file, tmp_path, monkeypatch, verb
+):
+    def stops(*_: object, progress, **__: object) -> None:
+        progress(1, 100)
+        raise nm.Cancelled
+
+    movie = tmp_path / "my movie.ome.tif"
+    movie.write_bytes(movie_file.read_bytes())
+    Model.from_json(model_file).with_values({"camera.baseline_adu": 900.0}).to_json(tmp_path / "other.json")
+    out = tmp_path / ("d.tif" if verb == "denoise" else "folder")
+    with monkeypatch.context() as patched:
+        for name in ("traces.extract_traces", "denoise.pipeline.denoised", "compare.compare_movie"):
+            patched.setattr(f"napari_mufasa.{name}", stops)
+        code, _, err = cli(verb, movie, "--model", tmp_path / "other.json", "--out", out)
+    assert code == 130 and "darkest pixels" in err and err.index("darkest pixels") < err.index("stopped")
+    monkeypatch.chdir(tmp_path)
+    _, *command = shlex.split(err.split("made by: ")[1].splitlines()[0])
+    assert cli(*command)[0] == 0 and (tmp_path / "proposed.json").exists()
+
+
+@pytest.mark.parametrize("verb", ["traces", "compare", "simulate"])
+def test_the_folder_one_stands_in_can_be_written_into(cli, movie_file, model_file, tmp_path, monkeypatch, verb):
+    monkeypatch.chdir(tmp_path)
+    given = ["--frames", 2, "--out", "m.tif", "--truth", "."] if verb == "simulate" else [movie_file, "--out", "."]
+    assert cli(verb, *given, "--model", model_file)[0] == 0
+    written = {"traces": "traces.csv", "compare": "report.json", "simulate": "emission.csv"}[verb]
+    assert written in leftovers(tmp_path) and not [name for name in leftovers(tmp_path) if name.startswith(".")]
 
 
 def test_infer_writes_the_model_of_traces(cli, model_file, tmp_path):

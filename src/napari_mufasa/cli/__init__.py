@@ -11,9 +11,11 @@ import logging
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 DONE, FAULT, BAD_INPUT, STOPPED = 0, 1, 2, 130
+_notes: ContextVar[dict[str, bool]] = ContextVar("notes")  # of the verb that runs, and whether each is told
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -21,20 +23,28 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    notes: dict[str, None] = {}
+    _notes.set({})
     with warnings.catch_warnings(), _quiet("tifffile"), _quiet("matplotlib"):
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, category, *_, **__: _collect(notes, message, category)
+        warnings.showwarning = lambda message, category, *_, **__: _collect(message, category)
         code = _run(arguments, debug)
-    for note in notes if code == DONE else ():  # what went wrong is told in one line
-        print(f"napari-mufasa: note: {note}", file=sys.stderr)
+    if code == DONE:  # what went wrong is told in one line
+        tell_notes()
     raise SystemExit(code)
 
 
-def _collect(notes: dict[str, None], message: Warning | str, category: type[Warning]) -> None:
+def tell_notes() -> None:
+    """Print what is noted and not told yet: as soon as the work goes well, and at the end."""
+    notes = _notes.get({})
+    for note in [note for note, told in notes.items() if not told]:
+        notes[note] = True
+        print(f"napari-mufasa: note: {note}", file=sys.stderr)
+
+
+def _collect(message: Warning | str, category: type[Warning]) -> None:
     """Our own warnings, each once and in one line; what libraries tell their developers is not for users."""
     if category is UserWarning:
-        notes[one_line(str(message))] = None
+        _notes.get().setdefault(one_line(str(message)), False)
 
 
 @contextlib.contextmanager

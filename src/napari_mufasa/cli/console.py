@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import shutil
 import signal
 import sys
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from napari_mufasa import checks, cluster, provenance
+from napari_mufasa.cli import tell_notes
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
@@ -66,7 +68,12 @@ def working(title: str, scheduler: str | None = None) -> Iterator[Work]:
     before = {each: signal.signal(each, ask_to_stop) for each in STOPPING} if main_thread else {}
     try:
         with cluster.connected(scheduler) as client, _bar(title) as progress:
-            yield Work(progress, stop.is_set, client)
+
+            def goes_on(done: int, total: int) -> None:
+                tell_notes()
+                progress(done, total)
+
+            yield Work(goes_on, stop.is_set, client)
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
@@ -217,34 +224,37 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else "–" if value is None else str(value)
 
 
-def tell_disagreement(movie: Any, model: Model) -> None:
-    """One note where the movie is not what the model says: its shape and length are then the movie's."""
+def tell_disagreement(movie: Movie, model: Model, dark: Any = None) -> None:
+    """Notes on what movie and model contradict each other in; shape and length are the movie's."""
     timing = model.acquisition
     n_frames, height, width = movie.data.shape
     if (n_frames, height, width) != (timing.n_frames, *timing.shape_px):
         said = f"{timing.n_frames} frames of {timing.shape_px[0]} × {timing.shape_px[1]} px"
-        note(f"the movie has {n_frames} frames of {height} × {width} px, the model says {said}: the movie's count")
+        has = f"{n_frames} frames of {height} × {width} px"
+        note(f"the movie has {has}, the model says {said}: the movie's values are used")
+    used = "the model's value is used"
     size_nm = movie.pixel_size_nm
     if size_nm is not None and abs(size_nm / timing.pixel_size_nm - 1) > 0.01:
-        note(f"the movie's pixels are {size_nm:g} nm, the model's {timing.pixel_size_nm:g} nm: the model's count")
+        note(f"the movie's pixels are {size_nm:g} nm, the model's {timing.pixel_size_nm:g} nm: {used}")
     exposure_s, gain = movie.instrument.exposure_s, movie.instrument.register_gain
     if exposure_s is not None and abs(exposure_s / timing.frame_length_s - 1) > 0.01:
         said = f"{1000 * exposure_s:g} ms, the model says {1000 * timing.frame_length_s:g} ms"
-        note(f"the movie was exposed for {said}: the model's count")
+        note(f"the movie was exposed for {said}: {used}")
     if gain is not None and model.camera.em_gain and abs(gain / model.camera.em_gain - 1) > 0.5:
-        note(f"the movie's EM gain was set to {gain:g}, the model says {model.camera.em_gain:g}: the model's counts")
+        note(f"the movie's EM gain was set to {gain:g}, the model says {model.camera.em_gain:g}: {used}")
+    if movie.unit == "adu":
+        _tell_mismatches(movie, model, dark)
 
 
-def tell_mismatches(path: Path, movie: Any, model: Model, dark: Any = None) -> None:
-    """A note for each thing that movie and model contradict each other in."""
-    from napari_mufasa.files.instrument import read_instrument
+def _tell_mismatches(movie: Movie, model: Model, dark: Any) -> None:
     from napari_mufasa.propose import mismatches
 
-    found = mismatches(movie, model, dark, read_instrument(path) if path.is_file() else None)
+    found = mismatches(movie.data, model, dark)
     for mismatch in found:
         note(f"the model may not belong to this movie: {mismatch.words}")
-    if any(mismatch.field.startswith("camera") for mismatch in found):
-        note(f"'napari-mufasa propose {path}' makes a model of the movie itself")
+    if found:
+        command = shlex.join(["napari-mufasa", "propose", str(movie.path), "--out", "proposed.json"])
+        note(f"a model of the movie itself is made by: {command}")
 
 
 def dark_frames(path: Path | None, movie: Movie | None = None) -> Any:
@@ -271,7 +281,7 @@ def tell_molecules(out: Path, found: TraceSet) -> None:
 
 
 def note(text: str) -> None:
-    """A line for the user that is no result: told on stderr when the work is done."""
+    """A line for the user that is no result: told on stderr once the work goes well."""
     warnings.warn(text, stacklevel=2)
 
 

@@ -200,13 +200,12 @@ def _loaded(movie: Path, model: Model, dark: Any, channel: str | None = None) ->
     from napari_mufasa import checks, files
 
     read, model, dark = one_channel(channel, files.read_movie(movie).recorded(), model, dark)
-    console.tell_disagreement(read, model)
     if channel is None:
         recorded = files.load(movie)
     else:
         checks.affordable(read.data.nbytes, f"{movie} as a whole", "crop it, or give fewer frames")
         recorded = np.asarray(read.data)
-    console.tell_mismatches(movie, recorded, model, dark)
+    console.tell_disagreement(read, model, dark)
     return recorded, model, dark
 
 

@@ -86,9 +86,9 @@ def denoise(
     background, read = console.dark_frames(dark), files.read_movie(movie).recorded()
     read, believed, background = registering.one_channel(channel, read, believed, background)
     recorded = read.data
+    console.check_room(out, 4 * math.prod(recorded.shape))
     if believed is not None:
         console.tell_disagreement(read, believed)
-    console.check_room(out, 4 * math.prod(recorded.shape))
     with console.working("denoising", scheduler) as work:
         camera = believed.camera if believed is not None else measured_camera(recorded, background, work.cancel)
 
@@ -178,7 +178,7 @@ def traces(
     background = console.dark_frames(dark, read)
     read, believed, background = registering.one_channel(channel, read, believed, background)
     recorded = read.data
-    console.tell_disagreement(read, believed)
+    console.tell_disagreement(read, believed, background)
     with console.working("traces", scheduler) as work:
         found = extract_traces(
             recorded,
@@ -232,9 +232,8 @@ def compare(
     believed = Model.from_json(model)
     shared: dict[str, Any] = {"window": window, "best": best, "seed": seed, "sofi_times": sofi_times}
     if movie is not None:
-        console.tell_disagreement(files.read_movie(movie), believed)
         recorded, background = files.load(movie, recorded=True), console.dark_frames(dark)
-        console.tell_mismatches(movie, recorded, believed, background)
+        console.tell_disagreement(files.read_movie(movie), believed, background)
         with console.working("comparing") as work:
             result = comparing.compare_movie(
                 recorded, believed, background, max_steps=max_steps, follow_drift=follow_drift,

@@ -87,6 +87,7 @@ def pair_traces(
     believed, registered = Model.from_json(model), Channels.from_json(channels)
     read = files.read_movie(movie)
     background = console.dark_frames(dark, read)
+    console.tell_disagreement(read, believed, background)
     with console.working("traces") as work:
         found = extract_pair(
             read.data,
