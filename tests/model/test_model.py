@@ -248,3 +248,16 @@ def test_a_model_in_another_shape():
     assert model.in_shape(shape_px=(6, 10), maps=None).camera.offset_map_adu is None
     back = part.in_shape(n_frames=model.acquisition.n_frames, shape_px=(height, width), maps=model.camera)
     assert back == model and model.in_shape() == model
+
+
+def test_a_key_given_twice_is_refused(tmp_path):
+    text = json.dumps(preset("FF").to_dict())
+    (tmp_path / "m.json").write_text(text.replace('"n_frames":', '"n_frames": 7, "n_frames":', 1))
+    with pytest.raises(MufasaError, match="'n_frames' is given twice"):
+        Model.from_json(tmp_path / "m.json")
+
+
+def test_a_camera_alone_is_told_from_a_model(tmp_path):
+    (tmp_path / "camera.json").write_text(json.dumps(preset("FF").to_dict()["camera"]))
+    with pytest.raises(MufasaError, match='a camera alone, no model: put it under "camera"'):
+        Model.from_json(tmp_path / "camera.json")

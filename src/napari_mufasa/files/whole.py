@@ -140,7 +140,8 @@ def write_table(path: PathLike, table: pd.DataFrame) -> None:
 
 
 def read_json(path: PathLike, what: str = "JSON") -> Any:
-    """The content of a JSON file; raises `MufasaError` where there is none, naming what it should be."""
+    """The content of a JSON file; raises `MufasaError` where there is none, naming what it should be, and for a key
+    that one object has twice."""
     path = Path(path)
     if not path.exists():
         raise MufasaError(f"no file {path}: give the path of {what}")
@@ -149,13 +150,22 @@ def read_json(path: PathLike, what: str = "JSON") -> Any:
     try:
         if path.stat().st_size > MOST_JSON_BYTES:
             raise MufasaError(f"{path} is larger than {checks.size(MOST_JSON_BYTES)}: this is not {what}")
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
     except MufasaError:
         raise
     except RecursionError:
         raise MufasaError(f"{path} is not readable JSON (nested too deep): write it anew") from None
     except (OSError, ValueError) as error:
         raise MufasaError(f"{path} is not readable JSON ({error}): write it anew") from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; of a key that is there twice nobody knows which value is meant."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"{next(key for key in keys if keys.count(key) > 1)!r} is given twice")
+    return found
 
 
 def plain(value: Any) -> Any:

@@ -63,6 +63,10 @@ class Model(Setup):
         data = read_json(path, "a model.json (see 'presets')")
         if not isinstance(data, dict):
             raise MufasaError(f"{path} holds a {type(data).__name__}, not a model: see 'presets FF' for the form")
+        if data and set(data) <= set(Camera.model_fields):
+            raise MufasaError(
+                f'{path} holds a camera alone, no model: put it under "camera" of a model.json, or let propose make one'
+            )
         try:
             return cls.from_dict(data)
         except MufasaError as error:
