@@ -676,6 +676,22 @@ BAD = {
     "no such target": (["design", "--model", "MODEL", "--target", "loudness=5"], "loudness"),
     "figure of nothing": (["design", "--model", "MODEL", "--figure", "OUT/f.png"], "--vary"),
     "no such signal": (["simulate", "--model", "MODEL", "--snr", "1e9", "--out", "OUT/m.tif"], "not crossed"),
+    "gain without a register": (
+        ["calibrate", "MOVIE", "--type", "CCD", "--em-gain", "300", "--out", "OUT/c.json"], "em_gain = 300: a CCD",
+    ),
+    "gain of a proposed CCD": (
+        ["propose", "MOVIE", "--type", "CCD", "--em-gain", "300", "--out", "OUT/m.json"], "em_gain = 300: a CCD",
+    ),
+    "dark as bright as the movie": (
+        ["calibrate", "MOVIE", "--dark", "MOVIE", "--out", "OUT/c.json"], "no brighter than the dark",
+    ),
+    "an effect twice": (
+        [
+            "simulate", "--preset", "FF", "--effect", "stage_drift:distance_px=2", "--effect",
+            "stage_drift:distance_px=7", "--out", "OUT/m.tif",
+        ],
+        "stage_drift is given more than once",
+    ),
     "bad sweep": (["design", "--model", "MODEL", "--vary", "power"], "PATH=V1,V2"),
 }  # fmt: skip
 

@@ -82,7 +82,8 @@ def calibrate(
 
     Raises
     ------
-    MufasaError : too few frames, or no dark frames and too little range of light for a line.
+    MufasaError : too few frames; a movie no brighter than the dark; an EM gain of a camera that has none; no dark frames
+        and too little range of light for a line.
     """
     movie = checks.stack(movie)
     shape = tuple(movie.shape)
@@ -154,6 +155,8 @@ def check_given(
     for name, (value, least, most) in known.items():
         if value is not None:
             checks.number(value, name, least, most)
+    if em_gain is not None and em_gain > 1 and camera_type != "EMCCD":
+        raise MufasaError(f"em_gain = {em_gain:g}: a {camera_type} does not multiply; drop it, or choose EMCCD")
 
 
 def _is_dark(shaded: Dark) -> bool:
@@ -330,6 +333,11 @@ def _slope(
         for m, v in zip(light.means, light.variances, strict=True)
     ]
     signal = float(np.mean(light.means)) - level
+    if signal <= NORMAL * float(np.nan_to_num(level_sd)):
+        raise MufasaError(
+            f"the movie is no brighter than the dark ({signal + level:.6g} and {level:.6g} ADU): give frames without "
+            "light as dark frames, and a movie under light"
+        )
     shared = float(np.nan_to_num(level_sd)) / max(abs(signal), 1e-9)
     grown = max(float(np.mean(light.variances)) - dark_variance, 1e-9)
     shared = float(np.hypot(shared, 2 * read.value * float(np.nan_to_num(read.sd)) / grown))

@@ -29,14 +29,19 @@ def main(argv: Sequence[str] | None = None) -> None:
         warnings.showwarning = lambda message, category, *_, **__: _collect(message, category)
         code = _run(arguments, debug)
     if code == DONE:  # what went wrong is told in one line
-        tell_notes()
+        tell_notes(noted())
     raise SystemExit(code)
 
 
-def tell_notes() -> None:
-    """Print what is noted and not told yet: as soon as the work goes well, and at the end."""
+def noted() -> list[str]:
+    """What is noted so far."""
+    return list(_notes.get({}))
+
+
+def tell_notes(chosen: Sequence[str]) -> None:
+    """Print those that are not told yet: of what was noted before the work once that goes on, of all at the end."""
     notes = _notes.get({})
-    for note in [note for note, told in notes.items() if not told]:
+    for note in [note for note in chosen if not notes[note]]:
         notes[note] = True
         print(f"napari-mufasa: note: {note}", file=sys.stderr)
 

@@ -56,7 +56,8 @@ def calibrate(
     written = read_instrument(movie)
     with console.working("calibrating") as work:
         found = measure(
-            recorded, background, camera_type=camera_type, em_gain=em_gain or written.register_gain,
+            recorded, background, camera_type=camera_type,
+            em_gain=em_gain or (written.register_gain if camera_type == "EMCCD" else None),
             electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu,
             **work.both(),
         )  # fmt: skip

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from napari_mufasa import checks, cluster, provenance
-from napari_mufasa.cli import tell_notes
+from napari_mufasa.cli import noted, tell_notes
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
@@ -68,9 +68,10 @@ def working(title: str, scheduler: str | None = None) -> Iterator[Work]:
     before = {each: signal.signal(each, ask_to_stop) for each in STOPPING} if main_thread else {}
     try:
         with cluster.connected(scheduler) as client, _bar(title) as progress:
+            before_work = noted()
 
             def goes_on(done: int, total: int) -> None:
-                tell_notes()
+                tell_notes(before_work)
                 progress(done, total)
 
             yield Work(goes_on, stop.is_set, client)
@@ -186,6 +187,16 @@ def effect_from_text(model: Model, text: str) -> Any:
             raise MufasaError(f"effect {text!r}: {item!r} is not NAME=VALUE; write KIND:NAME=VALUE,NAME=VALUE")
         data[name.strip()] = plain_value(value)
     return model.with_values({"effects": [data]}).effects[0]
+
+
+def effects_from_texts(model: Model, texts: Sequence[str]) -> list[Any]:
+    """Effects given as KIND[:NAME=VALUE,…], one of each kind."""
+    effects = [effect_from_text(model, text) for text in texts]
+    kinds = [effect.kind for effect in effects]
+    for kind in kinds:
+        if kinds.count(kind) > 1:
+            raise MufasaError(f"{kind} is given more than once: a model has one of each kind, give one")
+    return effects
 
 
 def plain_value(text: str) -> Any:

@@ -62,8 +62,7 @@ def simulate(
         console.check_folder_out(truth, overwrite, TRUTH, positions)
     asked = {"sample.n_molecules": n_molecules, "acquisition.n_frames": frames, "acquisition.shape_px": shape}
     chosen = _chosen_model(preset, model).with_values({k: v for k, v in asked.items() if v is not None})
-    for text in effect or []:
-        chosen = chosen.with_effects(console.effect_from_text(chosen, text))
+    chosen = chosen.with_effects(*console.effects_from_texts(chosen, effect or []))
     if snr is not None:
         from napari_mufasa.design.solve import EXPOSURE, POWER
 

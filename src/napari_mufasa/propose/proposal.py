@@ -81,11 +81,12 @@ def propose_model(
     """
     movie = checks.stack(movie)
     dark = None if dark is None else checks.stack(dark, "dark")
-    check_given(camera_type or "EMCCD", em_gain, electrons_per_adu, quantum_efficiency)
+    written = instrument or Instrument()
+    known = camera_type or camera_type_of(written.camera)
+    check_given(known or "EMCCD", em_gain, electrons_per_adu, quantum_efficiency)
     for name, value in (("pixel_size_nm", pixel_size_nm), ("frame_length_s", frame_length_s)):
         if value is not None:
             checks.number(value, name, 1e-9, 1e9)
-    written = instrument or Instrument()
     unknown: dict[str, str] = {}
     notes: list[str] = []
     asked = {
@@ -93,7 +94,7 @@ def propose_model(
         "quantum_efficiency": quantum_efficiency,
         "adc_max": 2**written.bit_depth - 1 if written.bit_depth and written.bit_depth <= 16 else 65535,
     }  # fmt: skip
-    kind = camera_type or camera_type_of(written.camera) or ("EMCCD" if (asked["em_gain"] or 1.0) > 1 else None)
+    kind = known or ("EMCCD" if (asked["em_gain"] or 1.0) > 1 else None)
     camera, found = _camera(movie, dark, kind, asked, unknown, notes, cancel)
     timing = _timing(movie, written, pixel_size_nm, frame_length_s, unknown)
     first = _first_lit(found)
