@@ -66,6 +66,36 @@ def test_leading_dark_frames_are_found_and_used():
     assert found.camera.electrons_per_adu == pytest.approx(0.74, rel=0.04)
 
 
+@pytest.mark.parametrize("molecules", [True, False])
+def test_without_dark_frames_the_intervals_hold_the_truth(molecules):
+    """8 movies, 95 % intervals: each number is held in 6 at least (binomial: 5.5 in 1000 right ones fall, per number).
+
+    Spots on an even background, where only they make a range of light; and uneven light without molecules.
+    """
+    from napari_mufasa.effects import effect_from_data
+
+    model = nm.preset("FF").with_values({"acquisition.n_frames": 100, "acquisition.shape_px": (64, 64)})
+    values = {"optics.background_photons_per_px": 20.0, "optics.collection_efficiency": 1.0, "sample.n_molecules": 25}
+    if not molecules:
+        values |= {"sample.n_molecules": 0, "camera.em_gain": 300.0, "camera.electrons_per_adu": 12.0,
+                   "camera.read_noise_e": 50.0, "camera.clock_induced_charge_e": 0.0}  # fmt: skip
+        dim = effect_from_data({"kind": "illumination_profile", "edge_dimming": 0.6})
+        model = model.model_copy(update={"effects": (dim,)})
+    model = model.with_values(values)
+    camera = model.camera
+    truth = (
+        camera.baseline_adu,
+        camera.read_noise_e / camera.electrons_per_adu,
+        camera.em_gain / camera.electrons_per_adu,
+    )
+    held = np.zeros(3)
+    for seed in range(8):
+        found = calibrate(nm.simulate(model, seed=seed).movie, em_gain=camera.em_gain)
+        numbers = (found.baseline_adu, found.read_noise_adu, found.adu_per_photoelectron)
+        held += [number.holds(true) for number, true in zip(numbers, truth, strict=True)]
+    assert (held >= 6).all(), held
+
+
 def test_bad_input_is_named():
     _, movie, dark = movie_and_dark("FF")
     with pytest.raises(nm.MufasaError, match="4 frames"):

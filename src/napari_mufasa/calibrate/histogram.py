@@ -57,6 +57,7 @@ class Fit:
     ----------
     law, values : the law, and its fitted numbers with intervals (widened by the misfit, where there is one)
     p_value : chance of a misfit as large where the law is right, of `MOST` counts
+    misfit : how many times larger than chance it is (1 at least)
     distance : half the sum of |seen − expected| as a share of all: the part of the counts that the law puts elsewhere
     histogram, baseline_adu : what it was fitted to
     """
@@ -68,6 +69,7 @@ class Fit:
     distance: float
     histogram: Histogram
     baseline_adu: float
+    misfit: float = 1.0
 
     @property
     def expected(self) -> Array:
@@ -165,6 +167,12 @@ def _histogram(
     )
 
 
+def surprise(histogram: Histogram, law: Law, baseline_adu: float) -> float:
+    """−log likelihood of what was seen."""
+    expected = histogram.expected(law, baseline_adu)
+    return -float(np.sum(histogram.seen * np.log(expected / histogram.seen.sum(axis=1, keepdims=True))))
+
+
 def fit(
     name: str, histogram: Histogram, law: Law, free: Sequence[str], baseline_adu: float, baseline_slope_adu: float = 0.0
 ) -> Fit:
@@ -183,27 +191,26 @@ def fit(
         moved = found.read_noise_adu**2 / baseline_slope_adu if baseline_slope_adu else 0.0
         return found, baseline_adu + moved
 
-    def surprise(point: Array) -> float:
-        expected = histogram.expected(*made(point))
-        return -float(np.sum(histogram.seen * np.log(expected / histogram.seen.sum(axis=1, keepdims=True))))
+    def improbable(point: Array) -> float:
+        return surprise(histogram, *made(point))
 
     start = np.log([max(getattr(law, n) - OFFSET.get(n, 0.0), 1e-4) for n in free])
     if len(free):
         simplex = np.vstack([start, start + 0.3 * np.eye(len(free))])
         options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-3, "maxiter": 200 * len(free)}
-        start = optimize.minimize(surprise, start, method="Nelder-Mead", options=options).x
+        start = optimize.minimize(improbable, start, method="Nelder-Mead", options=options).x
     found, base = made(start)
     p_value, distance, excess = _misfit(histogram, histogram.expected(found, base), len(free))
     values = {}
     if len(free):
         # Counts about a mean that they are part of are fewer than they look.
         fewer = histogram.n_mean / (histogram.n_mean - 1) if histogram.n_mean > 1 else 1.0
-        spread = np.sqrt(excess * fewer) * _spread(surprise, start)
+        spread = np.sqrt(excess * fewer) * _spread(improbable, start)
         for n, p, sd in zip(free, start, spread, strict=True):
             shift, size = OFFSET.get(n, 0.0), float(np.exp(p))
             reach = float(np.exp(min(NORMAL * sd, 8.0)))
             values[n] = Value(shift + size, size * float(min(sd, 8.0)), shift + size / reach, shift + size * reach)
-    return Fit(name, found, values, p_value, distance, histogram, base)
+    return Fit(name, found, values, p_value, distance, histogram, base, excess)
 
 
 def _spread(surprise: Any, point: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa import checks
-from napari_mufasa.calibrate import histogram, rows, transfer
+from napari_mufasa.calibrate import histogram, rows, transfer, unlit
 from napari_mufasa.calibrate.codes import code_widths, saturation_adu
 from napari_mufasa.calibrate.dark import Dark, checked_dark, measure_dark
 from napari_mufasa.calibrate.found import Calibration, Readout
@@ -187,8 +187,11 @@ def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, 
         law = replace(law, read_noise_adu=read.value, charge_e=float(np.nan_to_num(charge.value)))
     else:
         charge = UNKNOWN
-        fitted = transfer.line(*light.wider, light.n_frames)
-        slope = transfer.mean_of([s * correction for s, _ in fitted], doubt, light.counts_each)
+        slopes, zeros = transfer.line(*light.wider)
+        means, variances = light.wider
+        others = [float(np.mean(found)) for found in transfer.line(means, variances + light.common)]
+        left = abs(others[0] / float(np.mean(slopes)) - 1)
+        slope = transfer.mean_of(list(slopes * correction), float(np.hypot(doubt, left)), light.counts_each)
         base, curve = UNKNOWN, (np.empty(0), np.empty(0))
     law = replace(law, adu_per_electron=slope.value / factor)
     seen = histogram.of_light(light.chunks, light.quiet)
@@ -212,7 +215,9 @@ def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, 
                 notes.append(_excess_words(slope, factor, excess))
         fits.append(fit)
     elif not known:
-        base, read, darkest = _without_dark(light, fitted, seen, law, slope, assumed, notes)
+        base, read, darkest = _without_dark(
+            light, unlit.level_of_no_variance(zeros, others[1]), seen, law, slope, assumed, notes
+        )
         fits += [] if darkest is None else [darkest]
         level = base.value - 0.5
         curve = transfer.curve(light.means.mean(axis=0) - level, light.variances.mean(axis=0) - read.value**2)
@@ -347,7 +352,7 @@ def _slope(
 
 
 def _without_dark(
-    light: Light, fitted: list[tuple[float, float]], seen: histogram.Histogram | None, law: Law, slope: Value,
+    light: Light, zero: tuple[float, float], seen: histogram.Histogram | None, law: Law, slope: Value,
     assumed: Assumed, notes: list[str],
 ) -> tuple[Value, Value, Fit | None]:  # fmt: skip
     """Baseline and read noise of a movie that is lit everywhere.
@@ -355,30 +360,21 @@ def _without_dark(
     The line of variance against mean tells the level at which there would be no variance; the baseline lies higher, by
     the read noise's variance over the slope. How much read noise there is, the histogram of the darkest pixels shows.
     """
-    power = float(np.sum(np.square(law.weights)))
-    zero = float(np.median([level for _, level in fitted]))
-    zero_sd = float(np.std([level for _, level in fitted]) / np.sqrt(len(fitted)))
-    raw_slope = slope.value * power
+    raw_slope = slope.value * float(np.sum(np.square(law.weights)))
+    level, error = zero
     notes.append("baseline extrapolated to zero variance: dark frames would be far more certain")
     if assumed.read_noise_adu is not None or seen is None:
-        read = Value(assumed.read_noise_adu or 0.0, float("nan"))
-        moved, fit = read.value**2 / raw_slope, None
-        highest = moved
+        read, fit = Value(assumed.read_noise_adu or 0.0, float("nan")), None
+        highest = read.value
     else:
-        start = replace(law, read_noise_adu=max(0.3 * law.adu_per_electron, 1.0))
-        darkest = histogram.Histogram(
-            seen.level_adu[:2], seen.offsets_adu[:2], seen.edges[:2], seen.seen[:2], seen.n_mean, seen.phases[:2]
-        )
-        fit = histogram.fit("light", darkest, start, ("adu_per_electron", "read_noise_adu"), zero + 0.5, raw_slope)
-        read = fit.values["read_noise_adu"]
         # The variance of the darkest pixels is the most that the read noise can have.
         most = float(np.sqrt(np.percentile(light.variances.mean(axis=0), 1)))
-        read = replace(read, value=min(read.value, most), low=min(read.low, most), high=min(read.high, most))
-        moved, highest = read.value**2 / raw_slope, read.high**2 / raw_slope
+        read, level, fit = unlit.read_noise(seen, law, zero, raw_slope, most)
+        highest = read.interval[1]
         notes.append("read noise from the histogram of the darkest pixels: dark frames would be far more certain")
-    low, high = zero + 0.5 - 2 * NORMAL * zero_sd, zero + 0.5 + highest + 2 * NORMAL * zero_sd
-    base = Value(zero + 0.5 + moved, float(max(zero_sd, (high - low) / (2 * NORMAL))), low, high)
-    return base, read, fit
+    low, high = zero[0] + 0.5 - NORMAL * error, zero[0] + 0.5 + highest**2 / raw_slope + NORMAL * error
+    base = min(max(level + 0.5 + read.value**2 / raw_slope, low, 0.0), high)
+    return Value(base, float((high - low) / (2 * NORMAL)), min(max(low, 0.0), base), max(high, base)), read, fit
 
 
 def _row_p_value(light: Light, of_light: Array, dark: Dark | None, dark_variance: float, assumed: Assumed) -> float:

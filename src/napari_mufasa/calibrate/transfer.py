@@ -18,6 +18,7 @@ QUIET_SD = 3.0
 RUN = 8  # frames whose mean shows slow changes
 LEAST_RUNS = 5
 COURSE_SD = 4.0
+LEAST_RANGE = 0.005  # rms of the light over its level, below which pixels' own sensitivity looks the same
 STEADY_SD = 6.0  # sample variances are skewed: a closer cut would take more from above than from below
 
 
@@ -132,30 +133,45 @@ def mean_of(slopes: Sequence[float], relative_doubt: float, counts_each: int) ->
     return Value(value, sd, value - far, value + far)
 
 
-def line(means: Array, variances: Array, n_frames: int) -> list[tuple[float, float]]:
-    """Slope, and the level (ADU) at which a line of variance against mean has no variance, chunk by chunk (pixels as
-    for `photon_transfer`, flattened)."""
-    from scipy.stats import theilslopes
+def line(means: Array, variances: Array) -> tuple[Array, Array]:
+    """Slope, and the level (ADU) at which a line of variance against mean has no variance, each as (chunk,) jackknife
+    pseudo-values: their mean is the estimate, their spread over √chunks its error (pixels as for `photon_transfer`,
+    flattened).
 
-    fits = []
-    # Pixels are grouped by their mean over the whole movie: grouped by the noise of a part of it, the noise
-    # itself would look like light.
-    overall = means.mean(axis=0)
-    own_noise = np.sqrt(variances.mean() / n_frames)
-    bins = bins_of(overall) if np.std(overall) > 2 * own_noise else []
-    for m, v in zip(means, variances, strict=True):
-        x, y = np.array([m[b].mean() for b in bins]), np.array([v[b].mean() for b in bins])
-        if len(x) == 0:
-            break
-        keep = x <= np.percentile(x, 90)  # the brightest bins hold the molecules, which blink
-        if keep.sum() < 5 or np.ptp(x[keep]) < 0.02 * abs(x[keep].mean()):
-            continue
-        slope, intercept = theilslopes(y[keep], x[keep])[:2]
-        if slope > 0:
-            fits.append((float(slope), -float(intercept) / float(slope)))
-    if not fits:
+    The noise of a pixel's mean and that of its variance go together as third to second moment: behind an EM register
+    that is a line of slope 3 g where the light's is 2 g. Pixels are therefore set apart by what the *other* chunks say
+    of their light (an instrumental variable): no noise of their own is in it to bend or to flatten the line.
+    """
+    n = len(means)
+    if n < 2:
+        raise MufasaError("too few lit frames to tell the baseline without dark frames: record more, or dark frames")
+    sums = np.array([_about_line(means, variances, k) for k in range(n)])
+    grown = sums[:, 0]
+    real = np.sqrt(max(grown.sum() / sums[:, 2].sum(), 0.0))  # rms of the pixels' true light about its mean
+    level = sums[:, 3].sum() / sums[:, 2].sum()
+    if grown.mean() < 5 * grown.std(ddof=1) / np.sqrt(n) or real < LEAST_RANGE * abs(level) or sums[:, 1].sum() <= 0:
         raise MufasaError(
             "without dark frames the light must differ between pixels, and here it does not: "
             "record dark frames (shutter closed), or give baseline_adu (--baseline-adu)"
         )
-    return fits
+    whole = _line_of(sums.sum(axis=0))
+    without = np.array([_line_of(sums.sum(axis=0) - one) for one in sums])
+    slopes, levels = (n * np.array(whole) - (n - 1) * without).T
+    return slopes, levels
+
+
+def _about_line(means: Array, variances: Array, k: int) -> Array:
+    """Weighted sums over pixels in chunk k: light · mean, light · variance, 1, mean, variance; light: by the others."""
+    light, level = (np.delete(a, k, axis=0).mean(axis=0) for a in (means, variances))
+    weights = np.empty(len(light))
+    for members in bins_of(light):
+        weights[members] = 1 / max(level[members].mean(), 1e-9) ** 2  # a variance is known to a share of itself
+    light = light - np.average(light, weights=weights)
+    return np.array(
+        [np.sum(weights * a) for a in (light * means[k], light * variances[k], 1.0, means[k], variances[k])]
+    )
+
+
+def _line_of(sums: Array) -> tuple[float, float]:
+    slope = float(sums[1] / sums[0])
+    return slope, float((sums[3] - sums[4] / slope) / sums[2])
