@@ -240,6 +240,21 @@ def test_maps_of_a_cmos_sensor():
     assert np.corrcoef(found.camera.variance_map_e2.ravel(), variances.ravel())[0, 1] > 0.95
 
 
+def test_a_camera_without_a_register_is_not_taken_for_an_emccd_in_silence():
+    from napari_mufasa.denoise.pipeline import measured_camera
+
+    model = camera_with("CMOS", cmos_gain_curve=((0, 0), (1, 1)))
+    movie, dark = nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)
+    assert "is this really an EMCCD?" in calibrate(movie, dark).notes[0]
+    assert measured_camera(movie, dark).type == "CCD"
+    assert measured_camera(movie, dark).electrons_per_adu == pytest.approx(0.8, rel=0.03)
+    assert measured_camera(movie, dark, camera_type="CMOS").type == "CMOS"
+    model = camera_with("EMCCD")
+    movie, dark = nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)
+    assert measured_camera(movie, dark).type == "EMCCD"
+    assert not any("really an EMCCD" in note for note in calibrate(movie, dark).notes)
+
+
 def test_saturation_is_seen():
     model = camera_with("CCD", adc_max=300).with_values({"optics.background_photons_per_px": 80})
     found = calibrate(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), camera_type="CCD")

@@ -23,6 +23,7 @@ from napari_mufasa.calibrate.dark import Dark, checked_dark, measure_dark
 from napari_mufasa.calibrate.found import Calibration, Readout
 from napari_mufasa.calibrate.histogram import Fit
 from napari_mufasa.calibrate.instrument import camera_of
+from napari_mufasa.calibrate.kind import doubt
 from napari_mufasa.calibrate.law import Law
 from napari_mufasa.calibrate.light import Light
 from napari_mufasa.calibrate.sample import leading_dark_frames, lit_chunks, shadow
@@ -134,6 +135,8 @@ def calibrate(
         camera_type, found, em_gain, electrons_per_adu, quantum_efficiency, seen_dark, assumed, adc_max,
         code_widths(stacks), notes,
     )  # fmt: skip
+    if register and (told := doubt(found)) is not None:
+        notes.insert(0, told)
     full = saturation_adu(stacks)
     if full is not None:
         notes.append(f"counts pile up at {full:g} ADU: the movie is saturated there")

@@ -13,6 +13,7 @@ from napari_mufasa.cli import console, registering
 from napari_mufasa.cli.options import (
     AcceptorSigma,
     Best,
+    CameraName,
     Channel,
     ChannelsFile,
     DarkFile,
@@ -61,7 +62,10 @@ def denoise(
     model: Annotated[Path | None, typer.Option("--model", metavar="MODEL.json", help="With the camera.")] = None,
     dark: Annotated[
         Path | None,
-        typer.Option("--dark", metavar="DARK", help="Or frames without light: an EMCCD is measured on the data."),
+        typer.Option("--dark", metavar="DARK", help="Or frames without light: the camera is measured on the data."),
+    ] = None,
+    camera_type: Annotated[
+        CameraName | None, typer.Option("--type", help="Of the camera, with --dark; else the data tell.")
     ] = None,
     method: Annotated[MethodName, typer.Option("--method", help="Which estimator.")] = "pure-let-movie",
     channel: Channel = None,
@@ -80,6 +84,8 @@ def denoise(
         raise MufasaError(
             "give --model MODEL.json, which holds the camera, or --dark DARK, frames without light to measure it on"
         )
+    if camera_type is not None and dark is None:
+        raise MufasaError("--type goes with --dark: a model says itself of which type its camera is")
     console.check_movie_out(out, overwrite)
     console.check_not_read(out, movie, model, dark)
     believed = None if model is None else Model.from_json(model)
@@ -90,7 +96,10 @@ def denoise(
     if believed is not None:
         console.tell_disagreement(read, believed)
     with console.working("denoising", scheduler) as work:
-        camera = believed.camera if believed is not None else measured_camera(recorded, background, work.cancel)
+        if believed is not None:
+            camera = believed.camera
+        else:
+            camera = measured_camera(recorded, background, work.cancel, camera_type)
 
         def blocks(first: int) -> Iterator[tuple[int, Any]]:
             yield from denoised(recorded, camera, method=method, first=first, **work.all())
@@ -103,6 +112,8 @@ def denoise(
         )  # fmt: skip
     if believed is None:
         typer.echo(_camera_measured(camera))
+        if camera_type is None:
+            typer.echo(f"{camera.type} taken: if that is wrong, say --type CCD, CMOS or EMCCD (light differs by 2)")
     n_frames, height, width = recorded.shape
     typer.echo(f"{out}: {n_frames} frames of {height} × {width} px, photons per pixel and frame")
 

@@ -164,12 +164,25 @@ class _Block:
     stop: int
 
 
-def measured_camera(movie: Any, dark: Any = None, cancel: Callable[[], bool] | None = None) -> Camera:
-    """An EMCCD's baseline, read noise and gain, measured on the movie and its dark frames."""
+def measured_camera(
+    movie: Any,
+    dark: Any = None,
+    cancel: Callable[[], bool] | None = None,
+    camera_type: Literal["CCD", "EMCCD", "CMOS"] | None = None,
+) -> Camera:
+    """Baseline, read noise and gain, measured on the movie and its dark frames.
+
+    camera_type : None: an EMCCD, unless the histogram, or how few counts a photoelectron makes, say that it has no
+        register: a CCD then
+    """
+    from napari_mufasa.calibrate.kind import kind_of
     from napari_mufasa.calibrate.measure import calibrate
 
     try:
-        return calibrate(movie, dark, camera_type="EMCCD", cancel=cancel).camera
+        found = calibrate(movie, dark, camera_type=camera_type or "EMCCD", cancel=cancel)
+        if camera_type is None and kind_of(found)[0] == "CCD":
+            found = calibrate(movie, dark, camera_type="CCD", cancel=cancel)
+        return found.camera
     except MufasaError as error:
         raise MufasaError(f"no camera was given and it cannot be measured: {error}") from None
 

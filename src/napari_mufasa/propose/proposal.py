@@ -10,6 +10,7 @@ import numpy as np
 
 from napari_mufasa import checks
 from napari_mufasa.calibrate.found import Calibration
+from napari_mufasa.calibrate.kind import kind_of
 from napari_mufasa.calibrate.known import Known
 from napari_mufasa.calibrate.measure import CameraType, calibrate, check_given
 from napari_mufasa.calibrate.value import NORMAL, Value
@@ -24,9 +25,7 @@ if TYPE_CHECKING:
     from napari_mufasa.model.setup import Camera
 
 FWHM = 2 * np.sqrt(2 * np.log(2))
-FEW_ADU = 3.0  # ADU per photoelectron above which a camera multiplies
 FULL_WELL_E = 1e6  # photoelectrons that no pixel holds
-NO_REGISTER = 1.35  # F² below which it does not
 #: What is taken where nothing tells.
 ASSUMED = {"pixel_size_nm": 100.0, "frame_length_s": 0.1, "wavelength_nm": 532.0}
 DYE = {"extinction_coefficient_per_M_cm": 100_000.0, "lifetime_s": 3e-9, "quantum_yield": 0.6}
@@ -134,7 +133,9 @@ def _camera(
     try:
         found = measured(kind or "EMCCD")
         if kind is None:
-            kind = _kind(found, unknown)
+            kind, untold = kind_of(found)
+            if untold is not None:
+                unknown["camera.type"] = untold
             found = found if kind == "EMCCD" else measured(kind)
         light_e = abs(float(np.mean(movie[:8])) - found.baseline_adu.value) / max(
             found.adu_per_photoelectron.value, 1e-12
@@ -146,6 +147,11 @@ def _camera(
         unknown["optics.background_photons_per_px"] = "without the camera, counts are no photons"
         return _plain_camera(movie, dark, kind or "CCD", asked), None
     notes += found.notes
+    if not found.law_holds:
+        notes.append(
+            f"test of fit of the camera: p = {found.p_value:.2g}: its law is not all there is, and its intervals may "
+            "be too narrow"
+        )
     if kind == "EMCCD" and asked["em_gain"] is None and asked["electrons_per_adu"] is None:
         unknown["camera.em_gain"] = "only gain over electrons per count shows in a movie; gain 300 is taken"
     unknown["camera.quantum_efficiency"] = f"does not show in a movie; {asked['quantum_efficiency']:g} is taken"
@@ -153,18 +159,6 @@ def _camera(
     if not 0 < low < high < 4 * low:
         unknown["camera.electrons_per_adu"] = "the movie has too little light for its noise: record an even, lit field"
     return found.camera, found
-
-
-def _kind(found: Calibration, unknown: dict[str, str]) -> CameraType:
-    low, high = found.excess_noise_measured.interval
-    if np.isfinite(low) and (high < 1.7 or low > NO_REGISTER):
-        return "EMCCD" if low > NO_REGISTER else "CCD"
-    kind: CameraType = "EMCCD" if found.slope_adu.value > FEW_ADU else "CCD"
-    unknown["camera.type"] = (
-        f"the histogram does not tell whether the camera multiplies; {kind} is taken, for a photoelectron makes "
-        f"{found.slope_adu.value:.3g} ADU of variance"
-    )
-    return kind
 
 
 def _plain_camera(movie: Any, dark: Any, kind: CameraType, asked: dict[str, Any]) -> Camera:
