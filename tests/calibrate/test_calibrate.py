@@ -255,6 +255,19 @@ def test_a_camera_without_a_register_is_not_taken_for_an_emccd_in_silence():
     assert not any("really an EMCCD" in note for note in calibrate(movie, dark).notes)
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5])
+def test_a_read_noise_that_rounding_hides_is_told_and_the_interval_holds_the_truth(phase):
+    rng = np.random.default_rng(0)
+    light = rng.poisson(rng.uniform(2, 12, (64, 64)), (60, 64, 64))
+    movie, dark = (
+        np.round(100 + phase + 0.5 * electrons + rng.normal(0, 0.2, electrons.shape)).astype(np.uint16)
+        for electrons in (light, np.zeros((40, 64, 64)))
+    )
+    found = calibrate(movie, dark, camera_type="CCD")
+    assert found.adu_per_photoelectron.holds(0.5)
+    assert any("read noise is below 0.5 ADU" in note for note in found.notes)
+
+
 def test_saturation_is_seen():
     model = camera_with("CCD", adc_max=300).with_values({"optics.background_photons_per_px": 80})
     found = calibrate(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), camera_type="CCD")

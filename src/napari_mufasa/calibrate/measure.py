@@ -35,6 +35,10 @@ Array = NDArray[np.float64]
 CameraType = Literal["CCD", "EMCCD", "CMOS"]
 LARGEST_MISFIT = 0.006  # share of counts elsewhere than the law says, above which its shape tells no excess noise
 REJECTED = 0.006  # p-value below which a histogram is not believed: three tests at 2 %
+COARSE_ADU = (
+    0.5  # read noise below which dark counts tell level and variance only up to where the baseline lies between
+)
+COARSE_LEVEL_ADU, COARSE_VARIANCE = 0.2, 0.1  # whole counts: rms errors of both, by rounding a noise of 0.2 ADU
 WIDE_PX = 32  # frames from which on the first columns can be spared
 DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
 
@@ -186,6 +190,11 @@ def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, 
     if known:
         base, level = _base(dark, assumed)
         slope, curve = _slope(light, level, base.sd, dark_variance, read, correction, doubt)
+        if read.value < COARSE_ADU:
+            notes.append(
+                f"the read noise is below {COARSE_ADU:g} ADU: whole counts hide how dark frames scatter, and the "
+                "interval of ADU per photoelectron is wider for it; a finer conversion (fewer electrons per ADU) tells more"
+            )
         charge = dark.charge if dark is not None else Value(assumed.clock_induced_charge_e or 0.0, float("nan"))
         law = replace(law, read_noise_adu=read.value, charge_e=float(np.nan_to_num(charge.value)))
     else:
@@ -349,6 +358,8 @@ def _slope(
     shared = float(np.nan_to_num(level_sd)) / max(abs(signal), 1e-9)
     grown = max(float(np.mean(light.variances)) - dark_variance, 1e-9)
     shared = float(np.hypot(shared, 2 * read.value * float(np.nan_to_num(read.sd)) / grown))
+    if read.value < COARSE_ADU:
+        shared = float(np.hypot(shared, np.hypot(COARSE_LEVEL_ADU / max(abs(signal), 1e-9), COARSE_VARIANCE / grown)))
     slope = transfer.mean_of(slopes, float(np.hypot(shared, doubt)), light.counts_each)
     curve = transfer.curve(light.means.mean(axis=0) - level, light.variances.mean(axis=0) - dark_variance)
     return slope, curve
