@@ -193,7 +193,7 @@ def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, 
         if read.value < COARSE_ADU:
             notes.append(
                 f"the read noise is below {COARSE_ADU:g} ADU: whole counts hide how dark frames scatter, and the "
-                "interval of ADU per photoelectron is wider for it; a finer conversion (fewer electrons per ADU) tells more"
+                "interval of ADU per photoelectron is wider for it; fewer electrons per ADU would tell more"
             )
         charge = dark.charge if dark is not None else Value(assumed.clock_induced_charge_e or 0.0, float("nan"))
         law = replace(law, read_noise_adu=read.value, charge_e=float(np.nan_to_num(charge.value)))
