@@ -68,7 +68,7 @@ def test_leading_dark_frames_are_found_and_used():
 
 @pytest.mark.parametrize("molecules", [True, False])
 def test_without_dark_frames_the_intervals_hold_the_truth(molecules):
-    """8 movies, 95 % intervals: each number is held in 6 at least (binomial: 5.5 in 1000 right ones fall, per number).
+    """8 movies, 95 % intervals: each number is held in 6 at least (binomial: 5.8 in 1000 right ones fall, per number).
 
     Spots on an even background, where only they make a range of light; and uneven light without molecules.
     """
