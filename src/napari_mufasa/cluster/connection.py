@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import platform
+import re
 import warnings
 from collections.abc import Iterator
 from functools import cache
@@ -41,6 +42,8 @@ def connected(address: str | None) -> Iterator[Client | None]:
 def _opened(address: str, opened: contextlib.ExitStack) -> Client:
     distributed = _distributed()
     try:
+        if not _has_port(address):  # a client of such an address ends with a traceback of its own
+            raise ValueError(address)
         client: Client = opened.enter_context(distributed.Client(address, timeout=PATIENCE_S, set_as_default=False))
     except (OSError, ValueError, AssertionError, TimeoutError):
         raise MufasaError(
@@ -49,6 +52,12 @@ def _opened(address: str, opened: contextlib.ExitStack) -> Client:
         ) from None
     check(client)
     return client
+
+
+def _has_port(address: str) -> bool:
+    """Whether an address that needs a port has one, as host:8786 or tcp://host:8786."""
+    scheme, _, where = address.rpartition("://")
+    return scheme not in ("", "tcp", "tls") or re.fullmatch(r".+:\d+/?", where) is not None
 
 
 def check(client: Any) -> None:
