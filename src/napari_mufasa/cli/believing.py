@@ -103,19 +103,19 @@ def propose(
 ) -> None:
     """Propose a first model: metadata, camera, spots and traces, and what could not be known."""
     from napari_mufasa import files
-    from napari_mufasa.files.instrument import read_instrument
-    from napari_mufasa.propose import propose_model
+    from napari_mufasa.model.model import Model
+    from napari_mufasa.propose import propose_model, stated
 
     console.check_apart(out, report)
     for path in (out, report):
         if path is not None:
             console.check_file_out(path, overwrite)
             console.check_not_read(path, movie, dark)
-    recorded = files.read_movie(movie).recorded().data
-    background = console.dark_frames(dark)
+    read, background = files.read_movie(movie).recorded(), console.dark_frames(dark)
+    known = stated(read.instrument, Model.stored_in(read.metadata))
     with console.working("proposing") as work:
         found = propose_model(
-            recorded, background, instrument=read_instrument(movie), camera_type=camera_type, em_gain=em_gain,
+            read.data, background, instrument=known, camera_type=camera_type, em_gain=em_gain,
             electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, pixel_size_nm=pixel_size_nm,
             frame_length_s=frame_length_s, **work.both(),
         )  # fmt: skip

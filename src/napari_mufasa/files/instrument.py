@@ -21,7 +21,8 @@ class Instrument:
     """Settings as the software wrote them, None where it did not; a setting is no measurement.
 
     camera : its name; em_gain, preamp_gain : settings; readout_rate_hz : of pixels; exposure_s, interval_s : of a frame
-    (start to start); pixel_size_nm : in the sample; bit_depth : of the converter; baseline_adu : offset asked for
+    (start to start); pixel_size_nm : in the sample; bit_depth : of the converter; baseline_adu : offset asked for;
+    wavelength_nm : of the excitation
     """
 
     camera: str | None = None
@@ -33,6 +34,7 @@ class Instrument:
     pixel_size_nm: float | None = None
     bit_depth: int | None = None
     baseline_adu: float | None = None
+    wavelength_nm: float | None = None
 
     @property
     def register_gain(self) -> float | None:

@@ -2,5 +2,6 @@
 
 from napari_mufasa.propose.belongs import Mismatch, mismatches
 from napari_mufasa.propose.proposal import Proposal, propose_model
+from napari_mufasa.propose.written import stated
 
-__all__ = ["Mismatch", "Proposal", "mismatches", "propose_model"]
+__all__ = ["Mismatch", "Proposal", "mismatches", "propose_model", "stated"]

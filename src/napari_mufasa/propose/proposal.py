@@ -109,7 +109,7 @@ def propose_model(
         notes.append(
             "too few spots stand alone: the PSF's width is that of what neighbouring pixels change by together"
         )
-    model = _model(camera, timing, seen, unknown)
+    model = _model(camera, timing, written.wavelength_nm or ASSUMED["wavelength_nm"], seen, unknown)
     values = _values(found, seen, timing, model)
     return Proposal(model, values, unknown, tuple(notes), written, found)
 
@@ -212,7 +212,7 @@ def _doubts(found: Calibration | None) -> tuple[float, float]:
     return float(per_electron.sd / per_electron.value), float(base)
 
 
-def _model(camera: Camera, timing: dict[str, Any], seen: Seen, unknown: dict[str, str]) -> Model:
+def _model(camera: Camera, timing: dict[str, Any], wavelength_nm: float, seen: Seen, unknown: dict[str, str]) -> Model:
     """What was seen as rates and powers that give it; dye and light are not known apart from their product."""
     k10 = rates.relaxation_rate(DYE["lifetime_s"])
     level = seen.on_level_e.value
@@ -222,7 +222,7 @@ def _model(camera: Camera, timing: dict[str, Any], seen: Seen, unknown: dict[str
     per_cycle = DYE["quantum_yield"] * COLLECTION * camera.quantum_efficiency
     share = min(level / (per_cycle * k10 * timing["frame_length_s"]), 0.009)  # of the time in S1
     k01 = k10 * share / (1 - share)
-    power = k01 / rates.excitation_rate(DYE["extinction_coefficient_per_M_cm"], 1.0, ASSUMED["wavelength_nm"])
+    power = k01 / rates.excitation_rate(DYE["extinction_coefficient_per_M_cm"], 1.0, wavelength_nm)
     unknown["fluorophore"] = (
         "dye, wavelength, power and collection show only as their product, photons per frame: a typical dye is taken"
     )
@@ -248,7 +248,7 @@ def _model(camera: Camera, timing: dict[str, Any], seen: Seen, unknown: dict[str
             "acquisition": timing,
             "fluorophore": DYE
             | {"cycles_before_bleaching": cycles, "isc_ratio": isc, "triplet_decay_rate_per_s": decay},
-            "excitation": {"wavelength_nm": ASSUMED["wavelength_nm"], "power_density_w_per_cm2": power},
+            "excitation": {"wavelength_nm": wavelength_nm, "power_density_w_per_cm2": power},
             "optics": {
                 "psf_fwhm_nm": FWHM * sigma * timing["pixel_size_nm"],
                 "collection_efficiency": COLLECTION,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from napari_mufasa.files.instrument import Instrument
@@ -27,6 +28,18 @@ def values_written(model: Model, written: Instrument) -> dict[str, Any]:
         "acquisition.frame_interval_s": timing.frame_interval_s, "camera.em_gain": model.camera.em_gain,
     }  # fmt: skip
     return {path: value for path, value in said.items() if not _same(believed[path], value)}
+
+
+def stated(written: Instrument, own: Model | None) -> Instrument:
+    """What the recording software wrote, and of a movie that carries its own model also that model's timing, pixel size
+    and wavelength; never its camera, which is measured."""
+    if own is None:
+        return written
+    timing = own.acquisition
+    return replace(
+        written, pixel_size_nm=timing.pixel_size_nm, exposure_s=timing.frame_length_s,
+        interval_s=timing.frame_interval_s, wavelength_nm=own.excitation.wavelength_nm,
+    )  # fmt: skip
 
 
 def _same(one: float | None, other: float | None) -> bool:
