@@ -257,8 +257,9 @@ def compare(
     with console.filling(out, believed, seed, (movie or traces, model, dark)) as folder:
         files.write_json(folder / "report.json", result.report())
         figures.write(folder, figures.comparison_drawings(result))
-    rows = [(name, value) for name, value in result.w1.items() if name != "unit"]
-    console.print_table(("W1", str(result.w1["unit"])), rows)
+    from napari_mufasa.report.lines import w1_rows
+
+    console.print_table(("W1", f"{result.w1['unit']} [95 %]"), w1_rows(result))
     for note in result.notes:
         typer.echo(f"note: {note}")
 

@@ -204,6 +204,19 @@ def molecules_line(layer: str, table: Any, number: str) -> str:
     )
 
 
+def w1_rows(comparison: Comparison) -> list[tuple[str, str | None]]:
+    """Every model's distance to the measurement with its 95 % interval, and the floor with that of its splits."""
+    bottom, rows = comparison.floor, list[tuple[str, str | None]]()
+    for name, value in comparison.w1.items():
+        if name == "floor":
+            known = f"{bottom.value:.4g} [{bottom.low:.4g}, {bottom.high:.4g}]"
+            rows.append((name, known if np.isfinite(bottom.value) else "too few molecules for a floor"))
+        elif name != "unit":
+            interval = comparison.w1_interval.get(name)
+            rows.append((name, None if interval is None else f"{value:.4g} [{interval[0]:.4g}, {interval[1]:.4g}]"))
+    return rows
+
+
 def live_line(w1: float, floor: Floor, busy: bool) -> str:
     """The distance of a model that is being edited, as HTML."""
     # A model at the floor scores anything up to about the largest distance of two halves.
