@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -363,6 +364,50 @@ def test_compare_finds_the_true_model_nearer_than_a_wrong_one(cli, movie_file, m
     assert found["true"]["unit"] == "photoelectrons per frame"
 
 
+def test_compare_tells_intervals_and_why_there_is_no_floor(cli, model_file, tmp_path):
+    rng = np.random.default_rng(1)
+    for n in (6, 1):
+        signal = 102 + 24 * rng.standard_normal((n, 20))
+        table = pd.DataFrame({"molecule": np.repeat(np.arange(n), 20), "frame": np.tile(np.arange(20), n)})
+        table.assign(photoelectrons=signal.ravel()).to_csv(tmp_path / f"{n}.csv", index=False)
+        out_dir = tmp_path / f"c{n}"
+        code, out, _ = cli("compare", "--traces", tmp_path / f"{n}.csv", "--model", model_file, "--out", out_dir)
+        low, high = json.loads((out_dir / "report.json").read_text())["w1_interval_95"]["mufasa"]
+        assert code == 0 and f"[{low:.4g}, {high:.4g}]" in out and "nan" not in out
+        assert ("too few molecules for a floor" in out) == (n == 1)
+
+
+def test_a_reason_that_all_share_keeps_its_number(capsys):
+    from types import SimpleNamespace
+
+    from napari_mufasa.cli import console
+
+    reasons = ["no 20 active frames", "no 20 active frames", "SNR 0.3", "SNR 0.4", ""]
+    kept = np.array([not reason for reason in reasons])
+    told = SimpleNamespace(kept=kept, molecules=pd.DataFrame({"reason": reasons}), path_px=None, notes=())
+    console.tell_molecules(Path("out"), told)
+    out = capsys.readouterr().out
+    assert "2 × no 20 active frames" in out and "2 × SNR …" in out
+
+
+def test_a_stopped_demo_says_that_files_stay(cli, monkeypatch, tmp_path):
+    def stops(*_: object, **__: object) -> None:
+        raise nm.Cancelled
+
+    monkeypatch.setattr("napari_mufasa.cli.demo.investigate", stops)
+    code, _, err = cli("demo", "--out", tmp_path / "d")
+    assert code == 130 and leftovers(tmp_path / "d") and "stay: add --overwrite" in err
+
+
+def test_propose_takes_what_the_movies_own_model_states(cli, movie_file, model_file, tmp_path):
+    code, out, _ = cli("propose", movie_file, "--out", tmp_path / "p.json")
+    own, found = Model.from_json(model_file), Model.from_json(tmp_path / "p.json")
+    assert code == 0 and "not in the metadata" not in out
+    assert found.acquisition.frame_length_s == own.acquisition.frame_length_s
+    assert found.acquisition.pixel_size_nm == own.acquisition.pixel_size_nm
+    assert found.excitation.wavelength_nm == own.excitation.wavelength_nm
+
+
 def test_compare_takes_traces(cli, model_file, tmp_path):
     rng = np.random.default_rng(1)
     signal = 102 + 24 * rng.standard_normal((6, 20))  # level and noise of this model, by `design`
@@ -437,8 +482,8 @@ def test_a_wrong_model_is_told_while_the_work_begins_with_a_command_that_works(
     Model.from_json(model_file).with_values({"camera.baseline_adu": 900.0}).to_json(tmp_path / "other.json")
     out = tmp_path / ("d.tif" if verb == "denoise" else "folder")
     with monkeypatch.context() as patched:
-        for name in ("traces.extract_traces", "denoise.pipeline.denoised", "compare.compare_movie"):
-            patched.setattr(f"napari_mufasa.{name}", stops)
+        for name in (("traces", "extract_traces"), ("denoise.pipeline", "denoised"), ("compare", "compare_movie")):
+            patched.setattr(importlib.import_module(f"napari_mufasa.{name[0]}"), name[1], stops)
         code, _, err = cli(verb, movie, "--model", tmp_path / "other.json", "--out", out)
     assert code == 130 and "darkest pixels" in err and err.index("darkest pixels") < err.index("stopped")
     monkeypatch.chdir(tmp_path)
@@ -675,7 +720,13 @@ BAD = {
     "bad target": (["design", "--model", "MODEL", "--target", "snr_spot"], "NAME=VALUE"),
     "no such target": (["design", "--model", "MODEL", "--target", "loudness=5"], "loudness"),
     "figure of nothing": (["design", "--model", "MODEL", "--figure", "OUT/f.png"], "--vary"),
-    "no such signal": (["simulate", "--model", "MODEL", "--snr", "1e9", "--out", "OUT/m.tif"], "not crossed"),
+    "no such signal": (
+        ["simulate", "--model", "MODEL", "--snr", "1e9", "--out", "OUT/m.tif"], "cannot be reached; at most",
+    ),
+    "a table as a movie": (["diagnose", "TABLE", "--model", "MODEL", "--out", "OUT/d"], "add --traces"),
+    "scheduler without a port": (
+        ["denoise", "MOVIE", "--model", "MODEL", "--scheduler", "foo", "--out", "OUT/d.tif"], "answers at foo",
+    ),
     "gain without a register": (
         ["calibrate", "MOVIE", "--type", "CCD", "--em-gain", "300", "--out", "OUT/c.json"], "em_gain = 300: a CCD",
     ),
@@ -701,7 +752,15 @@ def test_bad_input_is_one_line_exit_2_and_no_file(case, cli, movie_file, model_f
     cut = tmp_path / "cut.tif"
     cut.write_bytes(movie_file.read_bytes()[:20_000])
     (tmp_path / "out").mkdir()
-    paths = {"MOVIE": str(movie_file), "MODEL": str(model_file), "CUT": str(cut), "OUT": str(tmp_path / "out")}
+    table = tmp_path / "t.csv"
+    table.write_text("molecule,frame,photoelectrons\n0,0,1\n")
+    paths = {
+        "TABLE": str(table),
+        "MOVIE": str(movie_file),
+        "MODEL": str(model_file),
+        "CUT": str(cut),
+        "OUT": str(tmp_path / "out"),
+    }
     arguments, expected = BAD[case]
     arguments = [paths.get(a, re.sub("^OUT", paths["OUT"], a)) for a in arguments]
     before = leftovers(model_file.parent)

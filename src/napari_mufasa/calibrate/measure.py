@@ -87,8 +87,8 @@ def calibrate(
 
     Raises
     ------
-    MufasaError : too few frames; a movie no brighter than the dark; an EM gain of a camera that has none; no dark frames
-        and too little range of light for a line.
+    MufasaError : too few frames; a movie no brighter than the dark; an EM gain of a camera that has none; no dark
+        frames and too little range of light for a line.
     """
     movie = checks.stack(movie)
     shape = tuple(movie.shape)

@@ -75,12 +75,9 @@ def _run(arguments: list[str], debug: bool) -> int:
             result = app(spread_lists(arguments), prog_name="napari-mufasa", standalone_mode=False)
         sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt, Cancelled):
-        finished = "movies" if arguments[:1] == ["batch"] else "blocks"
-        kept = f"finished {finished} are kept, the same command goes on from them"
-        resumes = finished == "movies" or "--resume" in arguments
-        return _say(f"stopped; {kept if resumes else 'nothing is half-written'}", STOPPED)
-    except typer.Exit as leaving:
-        return leaving.exit_code
+        return _say(_stopped_line(arguments), STOPPED)
+    except typer.Exit as leaving:  # typer's own for Ctrl-C, too
+        return leaving.exit_code if leaving.exit_code != STOPPED else _say(_stopped_line(arguments), STOPPED)
     except MufasaError as error:
         return _say(str(error), BAD_INPUT, debug)
     except (BrokenPipeError, SystemExit):  # the reader of our output (head, less) has left; typer exits for that
@@ -96,6 +93,15 @@ def _run(arguments: list[str], debug: bool) -> int:
         where = "" if debug else "; please report this, with what --debug shows"
         return _say(f"unexpected {type(error).__name__}: {error}{where}", FAULT, debug)
     return result if isinstance(result, int) else DONE
+
+
+def _stopped_line(arguments: Sequence[str]) -> str:
+    if arguments[:1] == ["demo"]:
+        return "stopped; the files that were finished stay: add --overwrite to begin again in the same folder"
+    finished = "movies" if arguments[:1] == ["batch"] else "blocks"
+    if finished == "movies" or "--resume" in arguments:
+        return f"stopped; finished {finished} are kept, the same command goes on from them"
+    return "stopped; nothing is half-written"
 
 
 def _say(message: str, code: int, debug: bool = False) -> int:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from napari_mufasa.discover.result import Report
     from napari_mufasa.model.model import Model
 
+TABLES = (".csv", ".h5", ".hdf5", ".traces")  # of traces; TIFF may be either
 WRITTEN = (
     "report.json",
     "report.html",
@@ -91,6 +92,8 @@ def diagnose(
     for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
         if given is not None:
             raise MufasaError(f"{name} belongs to a table of traces; add --traces if this is one")
+    if movie.suffix.lower() in TABLES and movie.is_file():
+        raise MufasaError(f"{movie} is no movie: is it a table of traces? add --traces")
     whole, dark_frames = believed, console.dark_frames(dark)
     recorded, believed, background = _loaded(movie, whole, dark_frames, channel)
     with console.working("diagnosing", scheduler) as work:

@@ -103,8 +103,14 @@ def solve(model: Model, targets: Mapping[str, float], vary: str = POWER) -> Solu
         reached = [getattr(told, first) for value in allowed if (told := at[value]) is not None]
         seen = [r for r in reached if r is not None]
         span = f"{min(seen):.3g} to {max(seen):.3g}" if seen else "nothing"
+        less = first in LESS_IS_BETTER
         tried = f"{vary} from {allowed[0]:.3g} to {allowed[-1]:.3g}"
-        raise MufasaError(f"{first} = {wanted[first]:g} is not crossed: {tried} gives {span}; vary another value")
+        if ranges[first]:
+            raise MufasaError(f"{first} = {wanted[first]:g} is met throughout: {tried} gives {span}; ask for more")
+        best = "" if not seen else f"; at {'least' if less else 'most'} {(min if less else max)(seen):.3g}"
+        raise MufasaError(
+            f"{first} = {wanted[first]:g} cannot be reached{best}: {tried} was looked through; vary another value"
+        )
     now = _now(model, vary)
     chosen = min(edges, key=lambda edge: abs(np.log(edge / now)))
     found = model.with_values({vary: _typed(vary, chosen)})
