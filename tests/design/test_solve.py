@@ -125,7 +125,7 @@ def test_a_whole_number_is_solved_for_as_one():
         ({}, POWER, "no target"),
         ({"snr_spot": -1}, POWER, "finite number"),
         ({"snr_spot": 1e9}, POWER, "cannot be reached"),
-        ({"duty_cycle": 0.5}, POWER, "cannot be reached"),
+        ({"duty_cycle": 0.5}, POWER, "met throughout"),
     ],
 )
 def test_what_cannot_be_solved_is_told(targets, path, words):
