@@ -11,11 +11,11 @@ import logging
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextvars import ContextVar
 from typing import Any
 
+from napari_mufasa.cli import notes
+
 DONE, FAULT, BAD_INPUT, STOPPED = 0, 1, 2, 130
-_notes: ContextVar[dict[str, bool]] = ContextVar("notes")  # of the verb that runs, and whether each is told
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -23,33 +23,14 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    _notes.set({})
+    notes.begin()
     with warnings.catch_warnings(), _quiet("tifffile"), _quiet("matplotlib"):
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, category, *_, **__: _collect(message, category)
+        warnings.showwarning = lambda message, category, *_, **__: notes.collect(message, category)
         code = _run(arguments, debug)
     if code == DONE:  # what went wrong is told in one line
-        tell_notes(noted())
+        notes.tell(notes.so_far())
     raise SystemExit(code)
-
-
-def noted() -> list[str]:
-    """What is noted so far."""
-    return list(_notes.get({}))
-
-
-def tell_notes(chosen: Sequence[str]) -> None:
-    """Print those that are not told yet: of what was noted before the work once that goes on, of all at the end."""
-    notes = _notes.get({})
-    for note in [note for note in chosen if not notes[note]]:
-        notes[note] = True
-        print(f"napari-mufasa: note: {note}", file=sys.stderr)
-
-
-def _collect(message: Warning | str, category: type[Warning]) -> None:
-    """Our own warnings, each once and in one line; what libraries tell their developers is not for users."""
-    if category is UserWarning:
-        _notes.get().setdefault(one_line(str(message)), False)
 
 
 @contextlib.contextmanager
@@ -109,13 +90,8 @@ def _say(message: str, code: int, debug: bool = False) -> int:
         import traceback
 
         traceback.print_exc()
-    print("napari-mufasa: " + one_line(message), file=sys.stderr)
+    print("napari-mufasa: " + notes.one_line(message), file=sys.stderr)
     return code
-
-
-def one_line(message: str) -> str:
-    """One line without control characters: names of files are others' words."""
-    return "".join(letter if letter.isprintable() else "?" for letter in " ".join(message.split()))
 
 
 def _is_usage_error(error: Exception) -> bool:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from napari_mufasa import checks, cluster, provenance
-from napari_mufasa.cli import noted, tell_notes
+from napari_mufasa.cli import notes
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
@@ -68,10 +68,10 @@ def working(title: str, scheduler: str | None = None) -> Iterator[Work]:
     before = {each: signal.signal(each, ask_to_stop) for each in STOPPING} if main_thread else {}
     try:
         with cluster.connected(scheduler) as client, _bar(title) as progress:
-            before_work = noted()
+            before_work = notes.so_far()
 
             def goes_on(done: int, total: int) -> None:
-                tell_notes(before_work)
+                notes.tell(before_work)
                 progress(done, total)
 
             yield Work(goes_on, stop.is_set, client)
