@@ -35,9 +35,7 @@ Array = NDArray[np.float64]
 CameraType = Literal["CCD", "EMCCD", "CMOS"]
 LARGEST_MISFIT = 0.006  # share of counts elsewhere than the law says, above which its shape tells no excess noise
 REJECTED = 0.006  # p-value below which a histogram is not believed: three tests at 2 %
-COARSE_ADU = (
-    0.5  # read noise below which dark counts tell level and variance only up to where the baseline lies between
-)
+COARSE_ADU = 0.5  # read noise below which dark counts tell level and variance only as the baseline lies between them
 COARSE_LEVEL_ADU, COARSE_VARIANCE = 0.2, 0.1  # whole counts: rms errors of both, by rounding a noise of 0.2 ADU
 WIDE_PX = 32  # frames from which on the first columns can be spared
 DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
