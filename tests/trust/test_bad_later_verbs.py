@@ -138,7 +138,7 @@ BAD_COMMANDS: dict[str, tuple[str, str]] = {
     "design: a target without value": ("design --model good/model.json --target snr_spot", "NAME=VALUE"),
     "design: a target that is no number": ("design --model good/model.json --target snr_spot=nan", "snr_spot"),
     "design: an infinite target": ("design --model good/model.json --target snr_spot=inf", "snr_spot"),
-    "design: a target out of reach": ("design --model good/model.json --target snr_spot=1e12", "not crossed"),
+    "design: a target out of reach": ("design --model good/model.json --target snr_spot=1e12", "cannot be reached"),
     "design: solving by what is not there": (
         "design --model good/model.json --target snr_spot=5 --solve camera.colour", "camera.colour",
     ),

@@ -268,7 +268,7 @@ def test_design_maps_two_values_and_solves_for_a_target(viewer, open_panel, run,
     assert "met" in panel.solution.text()
     panel.targets.wanted.value = "duty_cycle"
     panel.solve_button.click()  # nothing changes it: told in one line
-    assert "not crossed" in panel.run_bar.message.text()
+    assert "cannot be reached" in panel.run_bar.message.text()
 
 
 def test_design_draws_how_often_an_effect_is_seen(viewer, open_panel, bright_model, qtbot, monkeypatch):

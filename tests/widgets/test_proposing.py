@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from tests.widgets.helpers import add_movie
 
+import napari_mufasa as nm
+from napari_mufasa.files.layers import movie_space
 from napari_mufasa.model.presets import preset
 from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.steps.calibrate import CameraPanel
@@ -24,12 +27,16 @@ def open_panel():
 
 
 def test_a_model_is_proposed_believed_and_explained(with_movie, open_panel, qtbot, bright_model):
+    # Without dark frames the camera shows where the light differs between pixels that stay as they are.
+    lit = bright_model.with_effects(nm.catalogue()["illumination_profile"](edge_dimming=0.6, form="linear"))
+    session = session_of(with_movie)
+    space = movie_space(lit.acquisition.pixel_size_nm)
+    session.set_movie(add_movie(with_movie, nm.simulate(lit, seed=1).movie, "lit", space, None, None))
     panel = open_panel(CameraPanel, with_movie)
     panel.form.em_gain.value = 500.0
     with qtbot.waitSignal(panel.run_bar.finished, timeout=120_000):
         panel.propose_button.click()
-    session = session_of(with_movie)
-    assert session.model_origin == "proposed from bright"
+    assert session.model_origin == "proposed from lit"
     # Without dark frames, and with two photoelectrons a pixel, the baseline is known to about one of 676 ADU.
     assert session.model.camera.baseline_adu == pytest.approx(bright_model.camera.baseline_adu, abs=2 * 676)
     assert session.model.camera.em_gain == 500
