@@ -153,7 +153,8 @@ class Scene:
         """Light each molecule that moves as the field is where it has come to."""
         if not self.light_field or (self.walk_px is None and not self.shift_px.any()):
             return
-        first = np.maximum(self.drive(), np.finfo(float).tiny)
+        drive = self.drive()
+        first = np.where(drive > 0, drive, 1.0)  # what begins in the dark stays there
         course = np.empty((len(first), self.n_frames), np.float32)
         for frame in range(self.n_frames):
             at = self.positions_px + self.shift_px[frame]
