@@ -7,7 +7,6 @@ Drawn from the rows that docs/blind_trial.md is written from; nothing is run.
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 
@@ -21,12 +20,6 @@ from tests.blind import judging, running
 from tests.blind.trial import ROWS, once
 
 
-def bound(asked: str) -> float:
-    """The share that a line asks for, in per cent: "≥ 97 % of ≥ 200" → 97."""
-    found = re.search(r"([\d.]+) %", asked)
-    return float(found[1]) if found else 100.0
-
-
 def main() -> None:
     given = arguments(__doc__)
     rows = once(running.read(ROWS))
@@ -38,7 +31,7 @@ def main() -> None:
         made = figure(8.5, 1.1 + 0.25 * len(lines))
         ax = made.subplots()
         ax.hlines(at, low, high, color=colours.muted, linewidth=3, label="95 % interval")
-        ax.plot([bound(line.asked) for line in lines], at, "|", color=colours.before, markersize=13, label="asked")
+        ax.plot([100 * line.bound for line in lines], at, "|", color=colours.before, markersize=13, label="asked")
         ax.plot(shares, at, "o", color=colours.after, label="found")
         for y, line in enumerate(lines):
             ax.text(104, y, f"{line.hits} of {line.of}, asked {line.asked.split(' of ')[0]}", va="center", fontsize=7)

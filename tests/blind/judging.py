@@ -33,12 +33,17 @@ class Line:
     asked: str = ""
 
     @property
+    def bound(self) -> float:
+        """The share that is asked for: "≥ 97 % of ≥ 200" → 0.97."""
+        found = re.search(r"([\d.]+) %", self.asked)
+        return float(found[1]) / 100 if found else 1.0
+
+    @property
     def met(self) -> str:
-        """ "yes" or "no": is what is `asked`, a share or all, what was counted?"""
+        """Is what is `asked` what was counted: "yes" or "no"?"""
         share = self.hits / self.of
-        bound = float(re.search(r"[\d.]+", self.asked.replace("all", "100"))[0]) / 100
         enough = self.of >= int(re.search(r"of ≥ (\d+)|$", self.asked)[1] or 0)
-        return "yes" if enough and (share <= bound if "≤" in self.asked else share >= bound) else "no"
+        return "yes" if enough and (share <= self.bound if "≤" in self.asked else share >= self.bound) else "no"
 
     @property
     def interval(self) -> tuple[float, float]:
