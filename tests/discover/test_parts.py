@@ -1,5 +1,6 @@
 """The parts a diagnosis is made of, on cases whose answer is known."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -213,6 +214,27 @@ def test_each_half_of_the_field_is_judged_with_what_was_fitted_to_the_other():
     assert state.held_out_error(white) == pytest.approx(3 * np.sqrt(4 / 25), rel=0.03)
     assert state.held_out_error(black) == pytest.approx(state.held_out_error(white), rel=1e-6)
     assert state.held_out_error(white + black) < 0.05  # what both show is a free value's
+
+
+def test_the_floor_is_the_error_of_a_right_model_whose_pattern_is_read_off_one_half():
+    rng, white, black = np.random.default_rng(8), PARTS.index("white"), PARTS.index("black")
+    state, ratios = toy_state(p=200), []
+    for _ in range(20):
+        # Half of the observables are a pattern, read off with as much noise as it is seen with (variance 1 + 1), of the
+        # others each half has its own noise: √1.5 on average.
+        x = rng.standard_normal((3, 200))
+        pattern = np.arange(200) < 100
+        both = np.where(pattern, (x[white] + x[black]) / 2, 0.0)
+        mean = np.broadcast_to(both, (3, 200))
+        unread = {"column_offset": {half: np.where(pattern, x[half] - mean, 0.0) for half in (white, black)}}
+        check = mean + rng.standard_normal((12, 3, 200))
+        bare = replace(state, mean=mean, check=check).with_floor()
+        seen = replace(bare, unread=unread).with_floor()
+        assert bare.floor == pytest.approx(1.0, abs=0.1)  # the median of 12, each 1 ± 0.05
+        assert seen.floor == pytest.approx(np.sqrt(1.5), abs=0.15)
+        ratios.append(seen.held_out_error(x) / seen.floor)
+    # Each ± 0.06: the mean of twenty is within 4 of its standard deviations of 1.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.055)
 
 
 def test_null_laws_fit_their_own_samples():

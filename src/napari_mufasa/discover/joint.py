@@ -177,7 +177,7 @@ def left_out(library: Library, kind: str) -> Library:
     without one of them: only the mean is simulated."""
     base = removed(library, kind)
     shift = base.mean - library.base.mean
-    base = replace(base, check=base.check + shift)
+    base = replace(base, check=base.check + shift).with_floor()
     without = {
         others: replace(_without(base, others), mean=state.mean + shift)
         for others, state in library.without.items()

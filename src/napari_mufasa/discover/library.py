@@ -136,9 +136,7 @@ def build(
     simulated = Library(bench, bare, rows, {}).simulated
     slopes = derivatives(simulated, lambda by: model_at(model, values, free, by), steps, rows)
     base = _with_noise_of(replace(bare, slopes=slopes), rows)
-    base = replace(base, floor=float(np.median([base.held_out_error(x) for x in check])))
-    library = Library(bench, base, rows, {})
-    library = with_halves(library, added)
+    library = with_halves(Library(bench, base, rows, {}), added)
     earlier = {kind: last[kind] for kind in kinds if last and kind in last}
     library = replace(library, rays=earlier, earlier=frozenset(earlier))
     return with_rays(library, [kind for kind in kinds if kind not in earlier])
@@ -148,7 +146,8 @@ def with_halves(library: Library, kinds: Sequence[str]) -> Library:
     """The neighbourhood that knows what effects of these kinds would have read off each half alone."""
     base = library.base
     found = {kind: read_by_halves(library, base.model, kind, library.rows) for kind in kinds}
-    return replace(library, base=replace(base, unread={kind: change for kind, change in found.items() if change}))
+    unread = {kind: change for kind, change in found.items() if change}
+    return replace(library, base=replace(base, unread=unread).with_floor())
 
 
 def read_by_halves(library: Library, model: Model, kind: str, rows: Array) -> dict[int, Array]:

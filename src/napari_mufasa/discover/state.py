@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -62,7 +62,7 @@ class State:
     mean, spread (part, observable) · slopes (part, observable, free value), free values with prior widths: the
     nuisance values (`values`) first, then effect parameters · whiten (part, observable, observable) · check
     (simulation, part, observable) simulations of fresh seeds · least_spread (observable,) · floor: the held-out error
-    that the model itself scores, its own simulations taken as measurements, none judged by a mean it helped to make ·
+    that noise alone gives (see `with_floor`) ·
     unread : of each effect of which something is read off the movie, by half: how the mean (part, observable) changes
     where it is read off that half alone
 
@@ -105,11 +105,36 @@ class State:
 
     def held_out_error(self, x: Array) -> float:
         """rms whitened residual of each half of the field, free values fitted, and all else read off, on the other."""
-        return float(np.sqrt(np.mean([self._held_out(x, fit, held)[self.measurable] for fit, held in HALVES])))
+        return self._rms(self._held_out(x, fit, held) for fit, held in HALVES)
+
+    def with_floor(self) -> State:
+        """The state that knows the held-out error of a right model: its own simulations are taken as measurements, none
+        judged by a mean it helped to make. What is read off one half has the noise of that half, which the other does
+        not share: √2 times as much as it is from what is read off both, on either side."""
+        right = replace(self, unread={})
+
+        def error(x: Array, by: float) -> float:
+            squares = []
+            for fit, held in HALVES:
+                shown = x.copy()
+                shown[held] += by * self._misread(fit)[held]
+                squares.append(right._held_out(shown, fit, held))
+            return self._rms(squares)
+
+        sides = (np.sqrt(2), -np.sqrt(2)) if self.unread else (0.0,)
+        return replace(self, floor=float(np.median([error(x, by) for x in self.check for by in sides])))
+
+    def _rms(self, squares: Iterable[Array]) -> float:
+        return float(np.sqrt(np.mean([found[self.measurable] for found in squares])))
+
+    def _misread(self, fit: int) -> Array:
+        """How the mean (part, observable) changes where all that is read off the movie is read off one half."""
+        changes = (change[fit] for change in self.unread.values() if fit in change)
+        return sum(changes, np.zeros_like(self.mean))
 
     def _held_out(self, x: Array, fit: int, held: int) -> Array:
         """Squares of the whitened residuals of one half, free values fitted on the other."""
-        read = replace(self, mean=self.mean + sum(change.get(fit, 0.0) for change in self.unread.values()))
+        read = replace(self, mean=self.mean + self._misread(fit))
         moves = read.adjusted(x, fit).moves
         still = adjust(
             x[held], read.mean[held] + self.slopes[held] @ moves, self.spread[held],
