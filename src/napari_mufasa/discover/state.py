@@ -110,16 +110,12 @@ class State:
     def with_floor(self) -> State:
         """The state that knows the held-out error of a right model: its own simulations are taken as measurements, none
         judged by a mean it helped to make. What is read off one half has the noise of that half, which the other does
-        not share: √2 times as much as it is from what is read off both, on either side."""
+        not share: √2 times as much as it is from what is read off both, on either side, so far as free values that are
+        fitted there do not make up for it."""
         right = replace(self, unread={})
 
         def error(x: Array, by: float) -> float:
-            squares = []
-            for fit, held in HALVES:
-                shown = x.copy()
-                shown[held] += by * self._misread(fit)[held]
-                squares.append(right._held_out(shown, fit, held))
-            return self._rms(squares)
+            return self._rms(right._held_out(x + by * self._misread(fit), fit, held) for fit, held in HALVES)
 
         sides = (np.sqrt(2), -np.sqrt(2)) if self.unread else (0.0,)
         return replace(self, floor=float(np.median([error(x, by) for x in self.check for by in sides])))
