@@ -87,6 +87,42 @@ def test_signal_and_noise_of_the_whole_spot_are_those_of_its_trace(name, power):
     assert found.all_traces[0].std() == pytest.approx(told.detected_e_per_frame / told.snr_spot, rel=0.06)
 
 
+def test_rounding_to_whole_counts_is_noise():
+    # Counts of 8 electrons over a noise of 4.5: rounding has a quarter of a dark pixel's variance. A noise of half a
+    # count and more leaves it within 1 % of 1/12.
+    model = recorded_by("CCD").with_values({"camera.electrons_per_adu": 8.0, "acquisition.n_frames": 12_000})
+    told = predict(model)
+    movie = simulate(model, positions_px=np.array([[7.0, 7.0]]), seed=4).movie[:, 7, 7]
+    electrons = camera.photoelectrons(movie[:, None, None], model.camera).ravel()
+    # The sd of 12 000 frames is known to 0.65 %, without rounding it would be told 4 % too small; four of them.
+    assert electrons.std() == pytest.approx(told.peak_pixel_e / told.snr_peak_pixel, rel=0.026)
+
+
+@pytest.mark.parametrize("name", ["PALM", "FF", "Blinking"])
+def test_molecules_bleach_and_shine_in_a_movie_as_told(name):
+    model = preset(name)
+    n, told = model.acquisition.n_frames, predict(model)
+    longer = model.with_values({"acquisition.n_frames": n + int(12 * told.bleaching_time_s / 0.01)})
+    emission = simulate_emission(longer, n_molecules=1500, seed=12)
+    bleached = float(np.mean(emission[:, n:].sum(axis=1) == 0))
+    # A binomial share of 1500 has an sd of 1.3 % at most; four of them.
+    assert bleached == pytest.approx(told.bleached_by_the_end, abs=0.052)
+    # The change that is as far from the movie as its halves are from each other is the floor over the mean light.
+    light = emission[:, :n].mean() * told.detected_e_per_frame / told.emitted_photons_per_frame
+    # Shares of the movie with light are between 0 and 1: the sd of their mean is below 1.3 %, of 0.08 to 0.75; four.
+    assert told.w1_floor_e / told.smallest_change == pytest.approx(light, abs=0.052 * told.detected_e_per_frame)
+
+
+def test_w1_floor_of_molecules_that_bleach_is_that_of_two_halves():
+    model = preset("FF").with_values({"sample.n_molecules": 40})
+    told, rng = predict(model), np.random.default_rng(5)
+    emission = simulate_emission(model, n_molecules=40, seed=3) / told.emitted_photons_per_frame
+    noise = told.detected_e_per_frame / told.snr_spot
+    frames = rng.permutation((told.detected_e_per_frame * emission + rng.normal(0, noise, emission.shape)).ravel())
+    measured = compare.floor(frames.reshape(40, -1), n_splits=200, rng=rng).value
+    assert measured == pytest.approx(told.w1_floor_e, rel=0.15)
+
+
 @pytest.mark.parametrize("name", ["FF", "Blinking", "STORM", "PALM"])
 def test_the_viewers_numbers_are_those_of_the_prediction(name):
     model = preset(name)

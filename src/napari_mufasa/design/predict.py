@@ -36,16 +36,17 @@ class Prediction:
         the whole frame: in all directions, on the detector, as photoelectrons
     peak_pixel_e, peak_pixel_adu : its signal in the pixel it is centred on (ADU: with baseline and background)
     snr_peak_pixel, snr_spot : signal over noise in a frame, in that pixel and fitted with the PSF over the whole
-        spot (what `extract_traces` does); noise of emission and detection, the camera's multiplication, background
-        and read noise included; infinite without any noise
+        spot (what `extract_traces` does); noise of emission and detection, the camera's multiplication, background,
+        read noise and rounding to whole counts (1/12 of their square) included; infinite without any noise
     on_time_s, dark_time_s : mean visit to the bright and to the dark state
     duty_cycle : share of its life the molecule is bright
     bleaching_time_s : mean time until bleaching, dark times and activation included
     photons_before_bleaching : detected photoelectrons in a life, those of the exposures only
     frames_before_bleaching : frames of full light in a life, dark times not counted
     localisation_nm : least sd along one axis with which a frame can place it (Cramér–Rao bound)
-    bleached_by_the_end : share of molecules bleached when the movie ends
-    w1_floor_e : Wasserstein distance expected between two halves of the movie's frames (independent frames)
+    bleached_by_the_end : share of molecules bleached when the movie ends, as many as were activated and came back
+    w1_floor_e : Wasserstein distance expected between two halves of the movie's frames (independent frames), bleached
+        molecules among them
     smallest_change : relative change of brightness whose distance equals that floor
     movie_s : length of the movie
     """
@@ -93,18 +94,19 @@ def predict(model: Model) -> Prediction:
     detected_share = collected_share * model.camera.quantum_efficiency
     emitted = dye.quantum_yield * k10 * excited * timing.frame_length_s
     detected = emitted * detected_share
+    back_rate = 1 / dark_s if dark_s is not None else None
+    # Blinking and STORM start in the triplet, PALM before activation; without either molecules are bright at once.
+    first_light = light.activation_rate_per_s if model.protocol == "PALM" else back_rate
     bleach_s = None
-    if bleach_rate > 0 and returns:
-        waiting = dark_s or 0.0  # Blinking and STORM start in the triplet
-        if model.protocol == "PALM" and light.activation_rate_per_s:
-            waiting = 1 / light.activation_rate_per_s
-        bleach_s = waiting + 1 / (bleach_rate * duty)
+    if bleach_rate > 0 and returns and first_light != 0:
+        bleach_s = (0.0 if first_light is None else 1 / first_light) + 1 / (bleach_rate * duty)
     leaving = off_rate + bleach_rate
+    movie_s = timing.n_frames * timing.interval_s
+    bleached, bright = _shares(bleach_rate, off_rate, back_rate or 0.0, first_light, movie_s)
     # Detection adds its own Poisson noise to that of the emission (docs/camera.md), of which the optics say the share.
     emission_e2 = optics.emission_noise * detected * detected_share
     pixels = _spot(model, detected, emission_e2)
-    floor = _w1_floor_e(model, detected, duty, pixels.spot_noise_e, pixels.empty_noise_e)
-    movie_s = timing.n_frames * timing.interval_s
+    floor = _w1_floor_e(model, detected, bright, pixels.spot_noise_e, pixels.empty_noise_e)
     return Prediction(
         k01_per_s=k01,
         emitted_photons_per_frame=emitted,
@@ -121,11 +123,27 @@ def predict(model: Model) -> Prediction:
         photons_before_bleaching=detected / (bleach_rate * timing.interval_s) if bleach_rate else None,
         frames_before_bleaching=1 / (bleach_rate * timing.interval_s) if bleach_rate else None,
         localisation_nm=pixels.place_px * timing.pixel_size_nm if np.isfinite(pixels.place_px) else None,
-        bleached_by_the_end=float(-np.expm1(-movie_s * bleach_rate * duty)) if k1b else None,
+        bleached_by_the_end=bleached if k1b else None,
         w1_floor_e=floor,
-        smallest_change=floor / (detected * duty) if detected > 0 else None,
+        smallest_change=floor / (detected * bright) if detected * bright > 0 else None,
         movie_s=movie_s,
     )
+
+
+def _shares(bleaching: float, off: float, back: float, first: float | None, movie_s: float) -> tuple[float, float]:
+    """Share of molecules bleached when a movie ends, and the mean share of it that they are bright, by rates per s:
+    bleaching and turning off while bright, coming back, and first light (None: bright from the start)."""
+    from scipy.linalg import expm
+
+    bright, dark, bleached, waiting = range(4)
+    generator = np.zeros((4, 4))
+    generator[bright, bleached], generator[bright, dark], generator[dark, bright] = bleaching, off, back
+    generator[waiting, bright] = first or 0.0
+    generator -= np.diag(generator.sum(axis=1))
+    # Beside the exponential of the generator, that of this block has its mean over the movie.
+    moved = expm(np.block([[generator * movie_s, np.eye(4)], [np.zeros((4, 8))]]))[bright if first is None else waiting]
+    ended, mean = np.clip(moved[[bleached, 4 + bright]], 0, 1)
+    return float(ended), float(mean)
 
 
 def _over_noise(signal: float, noise: float) -> float:
@@ -195,6 +213,7 @@ def _spot(model: Model, detected_e: float, emission_e2: float) -> _Spot:
     read_e2 = camera.read_noise_e**2
     if camera.variance_map_e2 is not None:
         read_e2 = float(np.mean(camera.variance_map_e2))
+    read_e2 += camera.electrons_per_adu**2 / 12  # rounding to whole counts
     alpha = multiplication_noise(camera)
     dark_e = camera.quantum_efficiency * model.optics.background_photons_per_px + camera.clock_induced_charge_e
     peak = detected_e * centre
@@ -225,8 +244,8 @@ def _spot(model: Model, detected_e: float, emission_e2: float) -> _Spot:
     )
 
 
-def _w1_floor_e(model: Model, on_e: float, duty: float, on_noise_e: float, off_noise_e: float) -> float:
-    """E|F₁ − F₂| integrated: for two halves of M samples, √(2/π)·√(4/M)·∫√(F(1−F))."""
+def _w1_floor_e(model: Model, on_e: float, bright: float, on_noise_e: float, off_noise_e: float) -> float:
+    """E|F₁ − F₂| integrated: for two halves of M samples, a share `bright` of them bright, √(2/π)·√(4/M)·∫√(F(1−F))."""
     from scipy.special import ndtr
 
     samples = max(2, model.sample.n_molecules * model.acquisition.n_frames)
@@ -234,6 +253,6 @@ def _w1_floor_e(model: Model, on_e: float, duty: float, on_noise_e: float, off_n
     if width <= 0:
         return 0.0
     e = np.linspace(min(0.0, on_e) - 8 * width, on_e + 8 * width, 4001)
-    below = duty * ndtr((e - on_e) / max(on_noise_e, 1e-9)) + (1 - duty) * ndtr(e / max(off_noise_e, 1e-9))
+    below = bright * ndtr((e - on_e) / max(on_noise_e, 1e-9)) + (1 - bright) * ndtr(e / max(off_noise_e, 1e-9))
     spread = np.trapezoid(np.sqrt(np.clip(below * (1 - below), 0, None)), e)
     return float(np.sqrt(2 / np.pi) * np.sqrt(4 / samples) * spread)
