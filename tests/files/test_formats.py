@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tifffile
 from tests.files.microscopes import WRITERS, write_czi, write_nd2, write_pma
 
 from napari_mufasa import MufasaError, files, preset
@@ -271,6 +272,31 @@ def test_nikon_exposures_are_said_in_words():
 def test_andor_names_are_known():
     told = taken({"ExposureTime": 0.02, "CycleTime": 0.0215, "GainDAC": 200.0, "DetectorType": "DU-897"}.items())
     assert told == Instrument(camera="DU-897", em_gain=200.0, exposure_s=0.02, interval_s=0.0215)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "field", "size"),
+    [
+        ("Exposure", "30", "exposure_s", 0.03),  # in ms where nothing is said
+        ("Exposure", "0.5 s", "exposure_s", 0.5),
+        ("ExposureTime", "30 ms", "exposure_s", 0.03),
+        ("ExposureTime", 3e-2, "exposure_s", 0.03),
+        ("Interval_ms", "2 min", "interval_s", 120.0),
+        ("PixelSizeUm", "160 nm", "pixel_size_nm", 160.0),
+        ("Exposure", "3 fortnights", "exposure_s", None),
+    ],
+)
+def test_a_unit_that_is_said_counts(name, value, field, size):
+    assert getattr(taken([(name, value)]), field) == (None if size is None else pytest.approx(size))
+
+
+@pytest.mark.parametrize(("interval", "unit", "told_s"), [(20, "ms", 0.02), (2, "min", 120.0), (0.02, None, 0.02)])
+def test_imagej_intervals_are_in_their_unit(tmp_path, interval, unit, told_s):
+    said = {"unit": "\\u00B5m", "finterval": interval} | ({} if unit is None else {"tunit": unit})
+    path, counts = tmp_path / "m.tif", MOVIE.astype(np.uint16)
+    tifffile.imwrite(path, counts, imagej=True, resolution=(8, 8), metadata=said | {"axes": "TYX"})
+    told = read_instrument(path)
+    assert told.interval_s == pytest.approx(told_s) and told.pixel_size_nm == pytest.approx(125)
 
 
 def test_metadata_do_not_change_what_they_do_not_say():

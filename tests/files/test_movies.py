@@ -138,12 +138,13 @@ def test_wrong_shapes_are_told(tmp_path):
     tifffile.imwrite(tmp_path / "rgb.tif", RNG.integers(0, 255, (16, 18, 3), dtype=np.uint8), photometric="rgb")
     tifffile.imwrite(tmp_path / "rgbs.tif", RNG.integers(0, 255, (5, 16, 18, 3), dtype=np.uint8), photometric="rgb")
     tifffile.imwrite(tmp_path / "tc.ome.tif", np.stack([MOVIE] * 3, axis=1), metadata={"axes": "TCYX"})
+    tifffile.imwrite(tmp_path / "yxt.tif", np.moveaxis(MOVIE, 0, -1), metadata={"axes": "YXT"})
     zarr.save_array(str(tmp_path / "line.zarr"), np.arange(5))
     zarr.save_array(str(tmp_path / "none.zarr"), np.zeros((0, 4, 4)))
     zarr.save_array(str(tmp_path / "complex.zarr"), np.ones((2, 4, 4), complex))
     for name in ("rgb.tif", "rgbs.tif"):
         assert "colour" in complaint(files.read_movie, tmp_path / name)
-    for name in ("tc.ome.tif", "line.zarr", "none.zarr"):
+    for name in ("tc.ome.tif", "yxt.tif", "line.zarr", "none.zarr"):
         assert "(frame, y, x)" in complaint(files.read_movie, tmp_path / name)
     assert "real numbers" in complaint(files.read_movie, tmp_path / "complex.zarr")
 

@@ -62,8 +62,13 @@ NAMES: dict[str, tuple[str, float]] = {
     "andorbaselineoffset": ("baseline_adu", 1), "gaindac": ("em_gain", 1), "detectortype": ("camera", 1),
     "cycletime": ("interval_s", 1), "emgain setting": ("em_gain", 1), "em multiplier": ("em_gain", 1),
 }  # fmt: skip
-SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "ns": 1e-9, "min": 60.0}
-MICROMETRES = {"µm": 1.0, "um": 1.0, "micron": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
+SECONDS = {
+    "s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "µs": 1e-6, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "min": 60.0,
+    "h": 3600.0,
+}  # fmt: skip
+MICROMETRES = {"µm": 1.0, "um": 1.0, "micron": 1.0, "microns": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
+NANOMETRES = {unit: 1e3 * size for unit, size in MICROMETRES.items()}
+UNITS = {"exposure_s": SECONDS, "interval_s": SECONDS, "pixel_size_nm": NANOMETRES}  # what may stand behind a number
 
 
 def read_instrument(path: PathLike) -> Instrument:
@@ -108,12 +113,13 @@ def _everything(file: Any) -> Iterator[tuple[str, Any]]:
             with contextlib.suppress(json.JSONDecodeError):
                 yield from _flat(json.loads(text[start : end + 1]))
         yield from re.findall(r"^\s*([A-Za-z][\w .\-]{1,40}?)\s*[=:]\s*(\S[^\r\n]*)\r?$", text, re.MULTILINE)
-    if str(described.get("unit", "")) in MICROMETRES and "XResolution" in page.tags:
+    unit = str(described.get("unit", "")).replace("\\u00B5", "µ")  # as ImageJ writes it
+    if unit in MICROMETRES and "XResolution" in page.tags:
         over, under = page.tags["XResolution"].value
         if over and under and over != under:
-            yield "PhysicalSizeX", under / over * MICROMETRES[described["unit"]]
+            yield "PhysicalSizeX", under / over * MICROMETRES[unit]
     if "finterval" in described:
-        yield "TimeIncrement", described["finterval"]
+        yield "TimeIncrement", f"{described['finterval']} {described.get('tunit', 's')}"
 
 
 def _flat(data: Any) -> Iterator[tuple[str, Any]]:
@@ -162,10 +168,12 @@ def _take(found: dict[str, Any], name: str, value: Any) -> None:
         if isinstance(value, str) and value.strip() and value.lower() not in ("unknown", "default"):
             found[kind] = value.strip()
         return
-    number = re.search(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?", str(value))
+    number = re.search(r"([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*([^\W\d_]*)", str(value))
     if number is None:
         return
-    size = float(number.group()) * factor
+    if kind in UNITS and number[2]:  # a unit that is said counts, one that is unknown says nothing
+        factor = UNITS[kind].get(number[2].lower().replace("μ", "µ"), float("nan"))
+    size = float(number[1]) * factor
     if size > 0 and size == size:
         found[kind] = int(size) if kind == "bit_depth" else size
 

@@ -259,6 +259,9 @@ def _check_axes(series: Any, path: Path) -> None:
     named = [(axis, n) for axis, n in zip(series.axes, series.shape, strict=True) if n > 1 or axis in "YX"]
     if any(axis == "S" for axis, _ in named):
         raise MufasaError(f"{path} is a colour image {series.shape}: needs one grey stack (frame, y, x)")
+    order = "".join(axis for axis, _ in named)
+    if {"Y", "X"} <= set(order) and not order.endswith("YX"):
+        raise MufasaError(f"{path} has its axes in the order {series.axes}: save it as (frame, y, x), axes TYX")
     if len(named) > 3:
         words = {
             "C": "channels",
