@@ -45,6 +45,12 @@ def test_cmos_has_no_excess_noise():
     assert found.excess_noise_factor == 1.0
     assert found.camera.electrons_per_adu == pytest.approx(0.5, rel=0.03)
     assert found.camera.read_noise_e == pytest.approx(model.camera.read_noise_e, rel=0.03)
+    # A conversion that is known is taken, and told where the movie says otherwise.
+    known = calibrate(movie, dark, camera_type="CMOS", electrons_per_adu=0.5)
+    assert known.camera.electrons_per_adu == known.electrons_per_adu.value == 0.5
+    assert not any("values given" in note for note in known.notes)
+    wrong = calibrate(movie, dark, camera_type="CMOS", electrons_per_adu=1.0)
+    assert wrong.camera.electrons_per_adu == 1.0 and any("values given make 1 ADU" in note for note in wrong.notes)
 
 
 def test_blinking_molecules_do_not_raise_the_gain():

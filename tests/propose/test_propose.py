@@ -41,6 +41,30 @@ def test_a_simulated_movie_is_proposed_as_it_was_made(bright):
     assert json.dumps(found.report())
 
 
+def test_molecules_brighter_than_a_typical_dye_are_proposed_as_bright_as_they_are():
+    # 508 photoelectrons in 1 ms: the typical dye would have to be in S1 for 3 % of the time.
+    fast = {"acquisition.frame_length_s": 1e-3, "optics.collection_efficiency": 0.6, "sample.min_distance_px": 8.0}
+    model = nm.preset("EGFP").with_values(SHAPE | fast | {"excitation.power_density_w_per_cm2": 3e3})
+    written = Instrument(pixel_size_nm=100.0, exposure_s=1e-3, em_gain=500.0)
+    found = nm.propose_model(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), instrument=written)
+    level, told = found.values["on_level_e"], nm.predict(found.model).detected_e_per_frame
+    assert level.holds(nm.predict(model).detected_e_per_frame) and told == pytest.approx(level.value, rel=1e-3)
+
+
+def test_more_counts_than_the_metadata_have_bits_are_told(bright):
+    _, movie, dark = bright
+    found = nm.propose_model(movie, dark, instrument=Instrument(bit_depth=10, em_gain=500.0))
+    assert found.model.camera.adc_max == 65535 and any("10 bits" in note for note in found.notes)
+
+
+def test_an_offset_map_is_part_of_the_dark_level(bright):
+    model, movie, dark = bright
+    map_adu = np.random.default_rng(1).normal(367, 2, SHAPE["acquisition.shape_px"])
+    alone = model.with_values({"camera.baseline_adu": 0.0, "camera.offset_map_adu": map_adu})
+    assert nm.mismatches(movie, alone, dark) == []
+    assert [one.field for one in nm.mismatches(movie + 500, alone, dark + 500)] == ["camera.baseline_adu"]
+
+
 def test_a_conversion_that_no_sensor_could_have_counts_as_not_measured(bright, monkeypatch):
     """Noise that is almost none would mean millions of photoelectrons in every pixel."""
     from napari_mufasa.propose import proposal

@@ -38,7 +38,14 @@ def camera_of(
             scale = 1 / electrons_per_adu
             gain = per_electron.over(scale) if em_gain is None else Value(em_gain, given)
     else:
-        gain, per_adu = Value(1.0, given), _over(1.0, per_electron)
+        gain = Value(1.0, given)
+        per_adu = _over(1.0, per_electron) if electrons_per_adu is None else Value(float(electrons_per_adu), given)
+    believed, (low, high) = gain.value / per_adu.value, per_electron.interval
+    if abs(believed - per_electron.value) > 2 * max(high - per_electron.value, per_electron.value - low):
+        notes.append(
+            f"the values given make {believed:.4g} ADU of a photoelectron, the movie {low:.4g} to {high:.4g}: the "
+            "former are taken; check them, and the type of the camera"
+        )
     values: dict[str, Any] = {}
     if kind == "CMOS":
         values["cmos_gain_curve"] = ((0.0, 0.0), (1.0, 1.0))

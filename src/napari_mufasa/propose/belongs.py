@@ -70,7 +70,10 @@ def _baseline(stack: Any, model: Model, dark: Any) -> list[Mismatch]:
     if dark is not None:
         level = float(np.mean(np.asarray(dark), dtype=np.float64))
         gain = camera.em_gain or 1.0
-        expected = base + camera.clock_induced_charge_e * gain / camera.electrons_per_adu
+        spurious_e = camera.clock_induced_charge_e * gain + camera.read_noise_mean_e
+        expected = base + spurious_e / camera.electrons_per_adu
+        if camera.offset_map_adu is not None:
+            expected += float(np.mean(camera.offset_map_adu))
         noise = float(np.std(np.asarray(dark)[0]))
         if abs(level - expected) > max(0.5 * noise, 2.0):
             words = f"the dark frames have {level:.4g} ADU, the model's dark level is {expected:.4g} ADU"

@@ -30,6 +30,8 @@ FULL_WELL_E = 1e6  # photoelectrons that no pixel holds
 ASSUMED = {"pixel_size_nm": 100.0, "frame_length_s": 0.1, "wavelength_nm": 532.0}
 DYE = {"extinction_coefficient_per_M_cm": 100_000.0, "lifetime_s": 3e-9, "quantum_yield": 0.6}
 COLLECTION = 0.1
+MOST_EXCITED = 0.009  # share of the time in S1 up to which the fast engine may simulate
+BLOCK_FRAMES = 64
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def propose_model(
     asked = {
         "em_gain": em_gain or written.register_gain, "electrons_per_adu": electrons_per_adu,
         "quantum_efficiency": quantum_efficiency,
-        "adc_max": 2**written.bit_depth - 1 if written.bit_depth and written.bit_depth <= 16 else 65535,
+        "adc_max": _adc_max(movie, written.bit_depth, notes),
     }  # fmt: skip
     kind = known or ("EMCCD" if (asked["em_gain"] or 1.0) > 1 else None)
     camera, found = _camera(movie, dark, kind, asked, unknown, notes, cancel)
@@ -114,6 +116,16 @@ def propose_model(
     return Proposal(model, values, unknown, tuple(notes), written, found)
 
 
+def _adc_max(movie: Any, bit_depth: int | None, notes: list[str]) -> int:
+    """The largest count that the metadata say, unless the movie has larger ones."""
+    most = 2**bit_depth - 1 if bit_depth is not None and bit_depth < 16 else 65535
+    blocks = range(0, movie.shape[0], BLOCK_FRAMES) if most < 65535 else ()
+    if any(np.asarray(movie[start : start + BLOCK_FRAMES]).max() > most for start in blocks):
+        notes.append(f"the metadata say {bit_depth} bits, but the movie has counts above {most}: 16 bits are taken")
+        return 65535
+    return most
+
+
 def _first_lit(found: Calibration | None) -> int:
     """Frames at the beginning that were found to be dark."""
     if found is None:
@@ -127,7 +139,7 @@ def _camera(
     cancel: Callable[[], bool] | None,
 ) -> tuple[Camera, Calibration | None]:  # fmt: skip
     def measured(kind: CameraType) -> Calibration:
-        given = asked if kind == "EMCCD" else asked | {"em_gain": None, "electrons_per_adu": None}
+        given = asked if kind == "EMCCD" else asked | {"em_gain": None}
         return calibrate(movie, dark, camera_type=kind, cancel=cancel, **given)
 
     try:
@@ -214,15 +226,17 @@ def _doubts(found: Calibration | None) -> tuple[float, float]:
 
 def _model(camera: Camera, timing: dict[str, Any], wavelength_nm: float, seen: Seen, unknown: dict[str, str]) -> Model:
     """What was seen as rates and powers that give it; dye and light are not known apart from their product."""
-    k10 = rates.relaxation_rate(DYE["lifetime_s"])
     level = seen.on_level_e.value
     if not np.isfinite(level) or level <= 0:
         unknown["excitation.power_density_w_per_cm2"] = "too few isolated spots to tell their brightness"
         level = 100.0
     per_cycle = DYE["quantum_yield"] * COLLECTION * camera.quantum_efficiency
-    share = min(level / (per_cycle * k10 * timing["frame_length_s"]), 0.009)  # of the time in S1
-    k01 = k10 * share / (1 - share)
-    power = k01 / rates.excitation_rate(DYE["extinction_coefficient_per_M_cm"], 1.0, wavelength_nm)
+    excited_s = level / (per_cycle * timing["frame_length_s"]) * DYE["lifetime_s"]  # of each second
+    share = min(excited_s, MOST_EXCITED)
+    # Where that dye would be near saturation, one that cycles faster.
+    dye = DYE | {"lifetime_s": DYE["lifetime_s"] * share / excited_s}
+    k01 = rates.relaxation_rate(dye["lifetime_s"]) * share / (1 - share)
+    power = k01 / rates.excitation_rate(dye["extinction_coefficient_per_M_cm"], 1.0, wavelength_nm)
     unknown["fluorophore"] = (
         "dye, wavelength, power and collection show only as their product, photons per frame: a typical dye is taken"
     )
@@ -246,7 +260,7 @@ def _model(camera: Camera, timing: dict[str, Any], wavelength_nm: float, seen: S
         {
             "protocol": "FF" if isc is None else "Blinking",
             "acquisition": timing,
-            "fluorophore": DYE
+            "fluorophore": dye
             | {"cycles_before_bleaching": cycles, "isc_ratio": isc, "triplet_decay_rate_per_s": decay},
             "excitation": {"wavelength_nm": wavelength_nm, "power_density_w_per_cm2": power},
             "optics": {
