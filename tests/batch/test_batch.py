@@ -123,6 +123,23 @@ def test_a_movie_that_cannot_be_done_is_told_and_the_others_are_done(folder, cap
     assert "<th>Problem</th>" in (folder / "out/summary.html").read_text()
 
 
+def test_a_model_that_cannot_be_a_movies_is_told_with_the_movie(folder, capsys):
+    other = small().with_values({"camera.baseline_adu": 15000.0, "acquisition.n_frames": 50})
+    other.to_json(folder / "other.json")
+    a, b = (folder / "movies" / name / "m0.tif" for name in "ab")
+    (folder / "list.csv").write_text(f"movie,model\n{a},model.json\n{b},other.json\n")
+    code, _, err = cli(capsys, "batch", folder / "list.csv", "--do", "denoise", "--out", folder / "out")
+    assert code == 0 and "m0-2: the model's baseline is 1.5e+04 ADU" in err and "m0-2: the movie has 60 frames" in err
+    assert "note: m0: " not in err and err.count("note: m0-2: ") == 2
+    doubts = pd.read_csv(folder / "out/summary.csv")["doubts"]
+    assert list(doubts.isna()) == [True, False] and "baseline" in doubts[1] and "50 frames" in doubts[1]
+    assert "this is another camera" in (folder / "out/summary.html").read_text()
+    # What was done before still says so.
+    assert (
+        "m0-2: the model's" in cli(capsys, "batch", folder / "list.csv", "--do", "denoise", "--out", folder / "out")[2]
+    )
+
+
 @pytest.mark.parametrize(
     ("options", "word"),
     [

@@ -13,6 +13,7 @@ from napari_mufasa.widgets.steps.calibrate import CameraPanel
 from napari_mufasa.widgets.steps.compare import ComparePanel
 from napari_mufasa.widgets.steps.data import DataPanel
 from napari_mufasa.widgets.steps.discover import DiscoverPanel
+from napari_mufasa.widgets.steps.propose import propose
 from napari_mufasa.widgets.turns.session import session_of
 
 
@@ -42,6 +43,18 @@ def test_a_model_is_proposed_believed_and_explained(with_movie, open_panel, qtbo
     assert session.model.camera.em_gain == 500
     assert "Not known" in panel.result.text() and "95 % interval" in panel.result.text()
     assert panel.picture.drawn and panel.picture.isVisibleTo(panel)
+
+
+def test_a_movie_that_carries_its_model_is_proposed_with_its_timing(with_movie, bright_model):
+    own = bright_model.with_values(
+        {"acquisition.frame_length_s": 0.013, "acquisition.frame_interval_s": 0.02, "excitation.wavelength_nm": 561}
+    )
+    layer = session_of(with_movie).movie_layer
+    for model in (own, own.to_dict()):
+        layer.metadata["napari_mufasa"] = {"model": model}
+        found = propose(layer, em_gain=500.0).model
+        assert found.acquisition.frame_length_s == 0.013 and found.acquisition.frame_interval_s == 0.02
+        assert found.excitation.wavelength_nm == 561
 
 
 def test_a_proposal_can_be_cancelled(with_movie, open_panel, qtbot):

@@ -96,7 +96,7 @@ class _Movie:
         begun, told, kept = time.monotonic(), dict[str, Any](), list[str]()
         entry, settings, identity = self.entry, self.settings, self.identity
         try:
-            read, dark = None, None
+            read, dark, seen = None, None, dict[str, Any]()
             for step in settings.steps:
                 place = self.folder / step
                 done = _done(place)
@@ -107,12 +107,14 @@ class _Movie:
                 if read is None:
                     read = files.read_movie(entry.movie).recorded()
                     dark = None if entry.dark is None else files.load(entry.dark, recorded=True)
-                    told |= dict(zip(("frames", "height", "width"), read.data.shape, strict=True))
+                    seen = dict(zip(("frames", "height", "width"), read.data.shape, strict=True))
+                    seen["doubts"] = _doubts(read, self.model, dark)
+                    told |= seen
                 if done is not None:  # of another run; while its parts are replaced it is none
                     (place / DONE).unlink()
                 with files.filling(place) as temporary:
                     said = STEPS[step](temporary, read, self.model, dark, settings, cancel=cancel)
-                said |= dict(zip(("frames", "height", "width"), read.data.shape, strict=True))
+                said |= seen
                 files.write_json(place / DONE, {"made_from": identity[step], "told": said, **provenance.made_by()})
                 told |= files.whole.plain(said)
         except MufasaError as error:
@@ -123,6 +125,13 @@ class _Movie:
 def _there(movie: _Movie) -> Result:
     """A movie on a worker of a cluster, until nobody waits for it any more."""
     return movie.done(unwanted)
+
+
+def _doubts(movie: files.Movie, model: Model, dark: Any) -> list[str]:
+    """Why the model may not belong to this movie."""
+    from napari_mufasa.propose import differences, mismatches
+
+    return [*differences(movie, model), *(mismatch.words for mismatch in mismatches(movie.data, model, dark))]
 
 
 def _model(path: Path | None) -> Model:

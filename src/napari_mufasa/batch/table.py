@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 ROW = (
     "movie", "condition", "verdict", "effects", "strengths", "error_before", "error_after", "error_floor",
     "error_over_floor", "w1", "w1_fitted", "w1_floor", "w1_over_floor", "molecules", "candidates", "brightness_e",
-    "snr", "bleached_share", "diffusion_px2_per_frame", "frames", "height", "width", "folder", "problem",
+    "snr", "bleached_share", "diffusion_px2_per_frame", "frames", "height", "width", "folder", "problem", "doubts",
 )  # fmt: skip
 COMPARED = (
     "error_before", "error_after", "w1", "w1_fitted", "molecules", "brightness_e", "snr", "bleached_share",
@@ -36,6 +36,7 @@ def movie_table(results: Sequence[Result]) -> pd.DataFrame:
         effects = told.get("effects")
         told["movie"], told["condition"] = result.entry.movie.name, result.entry.condition
         told["folder"], told["problem"] = result.entry.name, result.error
+        told["doubts"] = "; ".join(told.get("doubts") or []) or None
         for over, value, floor in (("error", "error_before", "error_floor"), ("w1", "w1", "w1_floor")):
             if told.get(value) is not None and told.get(floor):
                 told[f"{over}_over_floor"] = told[value] / told[floor]

@@ -69,6 +69,8 @@ def batch(
     with console.working("batch", scheduler) as work:
         for result in run(entries, out, settings, overwrite=overwrite, **work.all()):
             results.append(result)
+            for words in result.told.get("doubts") or []:
+                console.note(f"{result.entry.name}: {words}")
             typer.echo(f"[{len(results)}/{len(entries)}] {_line(result, steps)}")
     write_tables(out, results, f"{source.name}: {len(results)} movies")
     apart = difference_table(results)

@@ -237,22 +237,10 @@ def _cell(value: object) -> str:
 
 def tell_disagreement(movie: Movie, model: Model, dark: Any = None) -> None:
     """Notes on what movie and model contradict each other in; shape and length are the movie's."""
-    timing = model.acquisition
-    n_frames, height, width = movie.data.shape
-    if (n_frames, height, width) != (timing.n_frames, *timing.shape_px):
-        said = f"{timing.n_frames} frames of {timing.shape_px[0]} × {timing.shape_px[1]} px"
-        has = f"{n_frames} frames of {height} × {width} px"
-        note(f"the movie has {has}, the model says {said}: the movie's values are used")
-    used = "the model's value is used"
-    size_nm = movie.pixel_size_nm
-    if size_nm is not None and abs(size_nm / timing.pixel_size_nm - 1) > 0.01:
-        note(f"the movie's pixels are {size_nm:g} nm, the model's {timing.pixel_size_nm:g} nm: {used}")
-    exposure_s, gain = movie.instrument.exposure_s, movie.instrument.register_gain
-    if exposure_s is not None and abs(exposure_s / timing.frame_length_s - 1) > 0.01:
-        said = f"{1000 * exposure_s:g} ms, the model says {1000 * timing.frame_length_s:g} ms"
-        note(f"the movie was exposed for {said}: {used}")
-    if gain is not None and model.camera.em_gain and abs(gain / model.camera.em_gain - 1) > 0.5:
-        note(f"the movie's EM gain was set to {gain:g}, the model says {model.camera.em_gain:g}: {used}")
+    from napari_mufasa.propose import differences
+
+    for words in differences(movie, model):
+        note(words)
     if movie.unit == "adu":
         _tell_mismatches(movie, model, dark)
 

@@ -16,6 +16,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
 if TYPE_CHECKING:
+    from napari_mufasa.files import Movie
     from napari_mufasa.files.instrument import Instrument
 
 FRAMES = 48  # looked at
@@ -61,6 +62,27 @@ def mismatches(movie: Any, model: Model, dark: Any = None, instrument: Instrumen
         timing = model.acquisition
         found += _setting("pixel_size_nm", timing.pixel_size_nm, instrument.pixel_size_nm, "pixels of", "nm")
         found += _setting("frame_length_s", timing.frame_length_s, instrument.exposure_s, "exposures of", "s")
+    return found
+
+
+def differences(movie: Movie, model: Model) -> list[str]:
+    """What a movie's shape and metadata say otherwise than the model, and which of them is used, in words."""
+    found = []
+    timing, used = model.acquisition, "the model's value is used"
+    n_frames, height, width = movie.data.shape
+    if (n_frames, height, width) != (timing.n_frames, *timing.shape_px):
+        said = f"{timing.n_frames} frames of {timing.shape_px[0]} × {timing.shape_px[1]} px"
+        has = f"{n_frames} frames of {height} × {width} px"
+        found.append(f"the movie has {has}, the model says {said}: the movie's values are used")
+    size_nm = movie.pixel_size_nm
+    if size_nm is not None and abs(size_nm / timing.pixel_size_nm - 1) > 0.01:
+        found.append(f"the movie's pixels are {size_nm:g} nm, the model's {timing.pixel_size_nm:g} nm: {used}")
+    exposure_s, gain = movie.instrument.exposure_s, movie.instrument.register_gain
+    if exposure_s is not None and abs(exposure_s / timing.frame_length_s - 1) > 0.01:
+        said = f"{1000 * exposure_s:g} ms, the model says {1000 * timing.frame_length_s:g} ms"
+        found.append(f"the movie was exposed for {said}: {used}")
+    if gain is not None and model.camera.em_gain and abs(gain / model.camera.em_gain - 1) > 0.5:
+        found.append(f"the movie's EM gain was set to {gain:g}, the model says {model.camera.em_gain:g}: {used}")
     return found
 
 

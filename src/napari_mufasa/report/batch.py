@@ -18,6 +18,7 @@ HEAD = (
     ("strengths", "Strengths [95 %]"), ("error_over_floor", "Error over floor"), ("error_after", "Error with effects"),
     ("w1", "W1"), ("w1_floor", "W1, floor"), ("molecules", "Molecules"), ("brightness_e", "Photoelectrons"),
     ("snr", "SNR"), ("diffusion_px2_per_frame", "D (px² per frame)"), ("problem", "Problem"),
+    ("doubts", "Does the model belong?"),
 )  # fmt: skip
 
 

@@ -2,8 +2,9 @@
 
 from magicgui import magic_factory
 
-from napari_mufasa.files.layers import instrument_of, measurement_of, pixel_size_um
-from napari_mufasa.propose import Proposal
+from napari_mufasa.files.layers import instrument_of, measurement_of, pixel_size_um, stored
+from napari_mufasa.model.model import Model
+from napari_mufasa.propose import Proposal, stated
 from napari_mufasa.widgets.parts.forms import begin
 from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Efficiency, ElectronsPerAdu, EmGain, Movie
 from napari_mufasa.widgets.turns.steering import steering
@@ -29,9 +30,11 @@ def propose(
 
     progress, cancel = steering()
     measured = measurement_of(movie, dark, dark_frames).recorded()
+    own = stored(movie, "model")
+    known = stated(instrument_of(movie), own if isinstance(own, Model) else Model.stored_in({"model": own}))
     size_um = pixel_size_um(movie.scale, movie.units)
     return propose_model(
-        measured.movie, measured.dark, instrument=instrument_of(movie), em_gain=em_gain,
+        measured.movie, measured.dark, instrument=known, em_gain=em_gain,
         electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency,
         pixel_size_nm=1000 * size_um if size_um else None, progress=progress, cancel=cancel,
     )  # fmt: skip
