@@ -98,6 +98,10 @@ def test_traces_alone_in_every_unit():
     camera = model.camera
     raw = electrons * camera.em_gain / camera.electrons_per_adu + camera.baseline_adu - 0.5
     np.testing.assert_allclose(to_photoelectrons(raw, model, "adu"), electrons, rtol=1e-4, atol=1e-3)
+    # Where the background was taken off, so was the baseline.
+    above = electrons * camera.em_gain / camera.electrons_per_adu
+    told = to_photoelectrons(above, model, "adu", background_subtracted=True)
+    np.testing.assert_allclose(told, electrons, rtol=1e-4, atol=1e-3)
     settings = {"profile": "brightest_pixel", "background_subtracted": False, "fit": False, "n_bootstrap": 5}
     one = compare_traces(electrons, model, **settings)
     two = compare_traces(np.round(raw).astype(np.uint16), model, unit="adu", **settings)

@@ -56,6 +56,18 @@ def test_how_long_a_frame_is_bright_scatters_as_in_fine_steps():
     assert found == pytest.approx(np.var(bright / steps), rel=0.06)
 
 
+def test_counts_without_their_background_have_no_baseline():
+    ccd = {"camera.type": "CCD", "camera.em_gain": None, "camera.electrons_per_adu": 2.0}
+    model = nm.preset("FF").with_values(ccd)
+    rng = np.random.default_rng(3)
+    electrons = rng.poisson(0.9 * nm.simulate_emission(model, 30, seed=3)) + rng.normal(0, 5, (30, 100))
+    one = nm.infer_photophysics(electrons, model).values["level_e"]
+    assert one.value == pytest.approx(0.9 * nm.predict(model).emitted_photons_per_frame, rel=0.05)
+    for counts, taken_off in ((electrons / 2, True), (electrons / 2 + model.camera.baseline_adu - 0.5, False)):
+        two = nm.infer_photophysics(counts, model, unit="adu", background_subtracted=taken_off).values["level_e"]
+        assert two.value == pytest.approx(one.value, rel=1e-3)
+
+
 @pytest.mark.parametrize("name", ["FF", "Blinking", "PALM"])
 def test_rates_come_back(name):
     model = nm.preset(name).with_values(CASES[name])

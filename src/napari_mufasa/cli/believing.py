@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from napari_mufasa.cli import console
+from napari_mufasa.cli.measuring import trace_table
 from napari_mufasa.cli.options import CameraName, DarkFile, ModelFile, MovieFile, Overwrite, TraceUnit
 
 if TYPE_CHECKING:
@@ -135,7 +136,6 @@ def infer(
     overwrite: Overwrite = False,
 ) -> None:
     """Infer brightness, bleaching, dark state and activation from traces, and say what cannot be told apart."""
-    from napari_mufasa.files.traces import read_traces
     from napari_mufasa.infer import infer_photophysics
     from napari_mufasa.model.model import Model
 
@@ -144,11 +144,12 @@ def infer(
         if path is not None:
             console.check_file_out(path, overwrite)
             console.check_not_read(path, traces, model)
-    values, found_unit = read_traces(traces)
+    table = trace_table(traces, unit, None, None)
     believed = Model.from_json(model)
     with console.working("inferring") as work:
         found = infer_photophysics(
-            values, believed, unit=unit or found_unit, all_molecules=all_molecules, **work.both()
+            table["traces"], believed, unit=table["unit"], background_subtracted=table["background_subtracted"],
+            all_molecules=all_molecules, **work.both(),
         )  # fmt: skip
     typer.echo(f"{traces}: {found.n_molecules} molecules")
     console.tell_origin(_written(found, "inferred", out, report), believed, (traces, model))

@@ -176,7 +176,7 @@ def compare_traces(
     traces : (molecule, frame) in `unit`: "photoelectrons", "photons" or "adu"
     profile : what the traces hold: "brightest_pixel", "sum" or "psf"
     pixel_share : share of a molecule's light in its brightest pixel, if it is not the PSF's
-    background_subtracted : whether the local background was taken off the traces
+    background_subtracted : whether the local background was taken off the traces (in ADU: the baseline, too)
     window, best : cut measured and simulated traces alike to the `window` frames before bleaching in which
         they are active, and keep the `best` of them
     n_simulated : simulated molecules (None: as many as measured, at least 200)
@@ -191,7 +191,7 @@ def compare_traces(
         if value is not None:
             checks.whole(value, name, least)
     checks.choice(profile, "profile", get_args(Profile))
-    electrons = to_photoelectrons(traces, model, unit)
+    electrons = to_photoelectrons(traces, model, unit, background_subtracted=background_subtracted)
     if window is not None and window > electrons.shape[1]:
         raise MufasaError(f"window = {window} frames; the traces have {electrons.shape[1]}: give 1 … that")
     n_frames = electrons.shape[1]
@@ -218,7 +218,7 @@ def compare_traces(
     if fit:
         gain = 1.0
         start = model
-        if unit == "adu":
+        if unit == "adu" and not background_subtracted:  # else what scatters is not what is left
             start, gain = fit_gain(np.asarray(traces), model)
         if background_subtracted:
             fitted = fit_model(electrons / gain, start, simulate)
@@ -235,8 +235,11 @@ def compare_traces(
     return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
 
 
-def to_photoelectrons(traces: NDArray[Any], model: Model, unit: str) -> NDArray[np.float64]:
-    """Traces (molecule, frame) in photoelectrons from ADU (as recorded, baseline included) or photons."""
+def to_photoelectrons(
+    traces: NDArray[Any], model: Model, unit: str, *, background_subtracted: bool = False
+) -> NDArray[np.float64]:
+    """Traces (molecule, frame) in photoelectrons from photons or ADU: as recorded, with the baseline, or, with
+    `background_subtracted`, without it."""
     from napari_mufasa import camera as detector
     from napari_mufasa.camera.readout import without_readout
 
@@ -248,6 +251,8 @@ def to_photoelectrons(traces: NDArray[Any], model: Model, unit: str) -> NDArray[
     if unit == "photons":
         return array * model.camera.quantum_efficiency
     plain = without_readout(model.in_shape(maps=None).camera)
+    if background_subtracted:  # and the baseline with it: half a count undoes the floor no more
+        plain = plain.model_copy(update={"baseline_adu": 0.5, "read_noise_mean_e": 0.0})
     return detector.photoelectrons(array[:, None, :], plain)[:, 0].astype(np.float64)
 
 
