@@ -718,6 +718,12 @@ BAD = {
     "out is a file": (["traces", "MOVIE", "--model", "MODEL", "--out", "MODEL"], "is a file"),
     "unknown effect to add": (["refine", "MOVIE", "--model", "MODEL", "--add", "magic", "--out", "OUT/d"], "magic"),
     "bad target": (["design", "--model", "MODEL", "--target", "snr_spot"], "NAME=VALUE"),
+    "a value varied twice": (
+        ["design", "--model", "MODEL", "--vary", "optics.psf_fwhm_nm=200", "--vary", "optics.psf_fwhm_nm=300"], "once",
+    ),
+    "two of one target": (["design", "--model", "MODEL", "--target", "snr_spot=5", "--target", "snr_spot=6"], "once"),
+    "solved for nothing": (["design", "--model", "MODEL", "--solve", "optics.psf_fwhm_nm"], "--target"),
+    "signal by nothing": (["simulate", "--model", "MODEL", "--snr-by", "exposure", "--out", "OUT/m.tif"], "--snr"),
     "no such target": (["design", "--model", "MODEL", "--target", "loudness=5"], "loudness"),
     "figure of nothing": (["design", "--model", "MODEL", "--figure", "OUT/f.png"], "--vary"),
     "no such signal": (

@@ -39,7 +39,7 @@ def simulate(
         float | None,
         typer.Option("--snr", min=1e-6, metavar="S", help="Solve for this signal to noise of a whole spot in a frame."),
     ] = None,
-    snr_by: Annotated[SnrBy, typer.Option("--snr-by", help="What --snr changes.")] = "power",
+    snr_by: Annotated[SnrBy | None, typer.Option("--snr-by", help="What --snr changes (power).")] = None,
     engine: Annotated[EngineName, typer.Option("--engine")] = "fast",
     truth: Annotated[
         Path | None, typer.Option("--truth", metavar="DIR", help="Also write emission.csv and positions.csv.")
@@ -66,7 +66,9 @@ def simulate(
     if snr is not None:
         from napari_mufasa.design.solve import EXPOSURE, POWER
 
-        chosen = _solved(chosen, {"snr_spot": snr}, POWER if snr_by == "power" else EXPOSURE, None)
+        chosen = _solved(chosen, {"snr_spot": snr}, EXPOSURE if snr_by == "exposure" else POWER, None)
+    elif snr_by is not None:
+        raise MufasaError("--snr-by goes with --snr, the signal to noise that is wanted: give both, or drop it")
     places = None if positions is None else read_positions(positions, chosen.acquisition.pixel_size_nm)
     if places is not None and n_molecules is not None:
         if n_molecules > len(places):
@@ -168,8 +170,9 @@ def design(
         typer.Option("--target", metavar="NAME=VALUE", help="A prediction that is wanted; may be repeated."),
     ] = None,
     solve: Annotated[
-        str, typer.Option("--solve", metavar="PATH", help="The value of the model that targets are met by.")
-    ] = "excitation.power_density_w_per_cm2",
+        str | None,
+        typer.Option("--solve", metavar="PATH", help="The value of the model that targets are met by (power density)."),
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="TABLE.csv", help="Write the table as CSV.")] = None,
     out_model: Annotated[
         Path | None, typer.Option("--out-model", metavar="model.json", help="Write the model that meets the target.")
@@ -190,12 +193,14 @@ def design(
             console.check_file_out(path, overwrite)
             console.check_not_read(path, model)
     believed = Model.from_json(model)
-    varied = dict(_parse_vary(text) for text in vary or [])
-    targets = dict(_parse_target(text) for text in target or [])
+    varied = _each_once("--vary", [_parse_vary(text) for text in vary or []])
+    targets = _each_once("--target", [_parse_target(text) for text in target or []])
     if figure is not None and not 1 <= len(varied) <= 2:
         raise MufasaError("--figure draws over one value or two: give --vary once or twice")
     if out_model is not None and not targets:
         raise MufasaError("--out-model needs a --target that the model shall meet, as snr_spot=5")
+    if solve is not None and not targets:
+        raise MufasaError("--solve needs a --target that the value shall meet, as snr_spot=5")
     if targets:
         believed = _solved(believed, targets, solve, out_model)
     table = sweep(believed, varied)
@@ -212,18 +217,26 @@ def design(
     console.print_table(head, [(name, *row) for name, row in zip(turned.index, turned.to_numpy(), strict=True)])
 
 
-def _solved(believed: Model, targets: dict[str, float], path: str, out: Path | None) -> Model:
-    """The model that meets the first target; says what is met, and where all would be."""
-    from napari_mufasa.design.solve import solve
+def _solved(believed: Model, targets: dict[str, float], path: str | None, out: Path | None) -> Model:
+    """The model that meets the first target, by its power without a path; says what is met, and where all would be."""
+    from napari_mufasa.design.solve import POWER, solve
     from napari_mufasa.report.lines import solution_lines
 
-    found = solve(believed, targets, path)
+    found = solve(believed, targets, path or POWER)
     for line in solution_lines(found):
         typer.echo(line)
     if out is not None:
         found.model.to_json(out)
         typer.echo(f"{out}: the model with that value")
     return found.model
+
+
+def _each_once(option: str, given: list[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in given]
+    for name in names:
+        if names.count(name) > 1:
+            raise MufasaError(f"{option} {name} is given more than once: give it once, with all that is wanted")
+    return dict(given)
 
 
 def _parse_target(text: str) -> tuple[str, float]:
