@@ -164,16 +164,22 @@ def test_denoised_movies_are_those_of_the_function(folder):
 
 
 # what tells them apart --------------------------------------------------------------------------------------
-def test_pooled_strengths_have_the_uncertainty_they_say():
-    """Movies that differ by 0.5 about 3, each known to 0.2 … 0.6: the mean and its sd, over 2000 batches of ten."""
+@pytest.mark.parametrize("n", [2, 3, 10])
+@pytest.mark.parametrize("between", [0.0, 0.5, 1.5])
+def test_pooled_strengths_have_the_uncertainty_they_say(n, between):
+    """Movies that differ by `between` about 3, each known to 0.2 … 0.6: mean and interval, over 2000 batches."""
     rng = np.random.default_rng(1)
-    sds = np.linspace(0.2, 0.6, 10)
-    told = np.array([pooled(3 + rng.normal(0, 0.5, 10) + rng.normal(0, sds), sds) for _ in range(2000)])
+    sds = np.linspace(0.2, 0.6, n)
+    told = np.array([pooled(3 + rng.normal(0, between, n) + rng.normal(0, sds), sds) for _ in range(2000)])
     assert told[:, 0].mean() == pytest.approx(3.0, abs=4 * told[:, 0].std() / np.sqrt(2000))
-    # With ten movies the spread between them is known to a quarter, and the interval holds a little less than 95 %.
-    assert 0.90 < np.mean(np.abs(told[:, 0] - 3) < 1.96 * told[:, 1]) < 0.96
-    assert np.median(told[:, 2]) == pytest.approx(0.5, abs=0.1)
-    assert np.isnan(pooled([], [])[0]) and pooled([2.0], [0.1])[:2] == pytest.approx((2.0, 0.1))
+    # Intervals that hold 95 % do in 95 ± 0.5 % of 2000; unequal uncertainties cost 2 % (two movies alike: 99 % hold).
+    assert 0.91 < np.mean(np.abs(told[:, 0] - 3) < told[:, 1]) <= 1.0
+    if n == 10 and between:
+        assert np.median(told[:, 2]) == pytest.approx(between, rel=0.2)
+
+
+def test_one_movie_is_as_sure_as_it_says():
+    assert np.isnan(pooled([], [])[0]) and pooled([2.0], [0.1])[:2] == pytest.approx((2.0, 0.196))
 
 
 def results_of(rng, effect_in=(), brighter=1.0, n=6):

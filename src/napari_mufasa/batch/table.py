@@ -101,17 +101,23 @@ def condition_table(results: Sequence[Result]) -> pd.DataFrame:
             there = [one for r in of for one in r.told["effects"] if one["effect"] == kind]
             fitted = [found for one in there if (found := strength_of(one)) is not None]
             name = fitted[0][0] if fitted else ""
-            value, sd, between = pooled(
+            value, reach, between = pooled(
                 [v for _, v, _, _ in fitted], [(high - low) / (2 * INTERVAL_SD) for _, _, low, high in fitted]
             )
-            low, high = value - INTERVAL_SD * sd, value + INTERVAL_SD * sd
-            rows.append((condition, kind, len(there), len(of), name, value, low, high, between))
+            rows.append((condition, kind, len(there), len(of), name, value, value - reach, value + reach, between))
     head = ["condition", "effect", "found_in", "movies", "parameter", "value", "low_95", "high_95", "between_sd"]
     return pd.DataFrame(rows, columns=head)
 
 
 def pooled(values: Sequence[float], sds: Sequence[float]) -> tuple[float, float, float]:
-    """Mean of values with uncertainties, its sd, and the sd of what they are of between movies (DerSimonian, Laird)."""
+    """Mean of values with uncertainties, half its 95 % interval, and the sd of what they are of between movies.
+
+    Mean and sd by DerSimonian and Laird. A few movies tell little of how they differ: the interval is that of Student's
+    law for how they scatter about the mean (IntHout, Ioannidis and Borm, BMC Med. Res. Methodol. 14, 25 (2014)), and no
+    narrower than their own uncertainties make it.
+    """
+    from scipy import stats
+
     x, variance = np.array(values, dtype=float), np.maximum(np.array(sds, dtype=float), 1e-12) ** 2
     if len(x) == 0:
         return float("nan"), float("nan"), float("nan")
@@ -121,7 +127,11 @@ def pooled(values: Sequence[float], sds: Sequence[float]) -> tuple[float, float,
     if len(x) > 1:
         between = max(0.0, (spread - (len(x) - 1)) / (w.sum() - np.sum(w**2) / w.sum()))
     w = 1 / (variance + between)
-    return float(np.sum(w * x) / w.sum()), float(w.sum() ** -0.5), float(np.sqrt(between))
+    mean, reach = float(np.sum(w * x) / w.sum()), INTERVAL_SD * float(w.sum() ** -0.5)
+    if len(x) > 1:
+        scatter = float(np.sqrt(np.sum(w * (x - mean) ** 2) / (len(x) - 1) / w.sum()))
+        reach = max(reach, float(stats.t.ppf(0.975, len(x) - 1)) * scatter)
+    return mean, reach, float(np.sqrt(between))
 
 
 def difference_table(results: Sequence[Result]) -> pd.DataFrame:
