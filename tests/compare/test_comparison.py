@@ -156,6 +156,27 @@ def test_traces_without_images_equal_those_of_images(camera, profile, subtracted
     assert wasserstein(one, two) < 2.5 * floor(two).value
 
 
+@pytest.mark.parametrize("profile", ["psf", "sum"])
+def test_the_background_in_a_trace_is_that_of_all_its_pixels(profile):
+    """The fit finds the background of a pixel, not of the trace's twenty: known to 2 % from what is left when 95 % have
+    bleached, but that what fades smoothly is told from it by moments. exp(-0.3) - exp(-2.7) of the molecules shine for
+    ten frames and bleach ten before the end: 0.67, with an sd of 0.04 for 120 of them."""
+    from napari_mufasa.compare.simulated import FarApart
+    from napari_mufasa.traces import Options
+
+    model = nm.Model.from_dict(generator.base_model("cmos")).with_values({"acquisition.n_frames": 100})
+    rate = 3.0 / (100 * model.acquisition.interval_s)
+    model = model.with_effects(effect_class("photobleaching")(rate_per_s=rate))
+    options = Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=False)
+    field = FarApart(model.sigma_px, 120, options, 3)
+    traces = field.traces(field.acquisition(model, 5))
+    found = compare_traces(traces, model, profile=profile, background_subtracted=False, seed=1, n_bootstrap=5)
+    bleached = found.samples["measured"].dynamics.bleaching_frame >= 0
+    assert bleached.mean() > 0.67 - 3 * 0.04
+    background = found.fit.values["optics.background_photons_per_px"]
+    assert background == pytest.approx(model.optics.background_photons_per_px, rel=0.15)
+
+
 def test_a_live_distance_takes_well_under_a_second():
     """What the viewer does when a parameter changes: simulate, W1, floor."""
     import time

@@ -228,6 +228,21 @@ def test_every_profile_holds_its_share_of_the_light():
         assert found.pixel_share == pytest.approx(expected, rel=0.06)
 
 
+@pytest.mark.parametrize("follow", [False, True])
+@pytest.mark.parametrize("profile", ["psf", "sum", "brightest_pixel"])
+def test_levels_are_above_the_background_that_a_trace_keeps(profile, follow):
+    """The same molecules' levels with and without it: means of 60 frames, whose rings differ from the ring's median
+    over the movie by 0.1 e a pixel, 2 e of the 20 pixels of a disc."""
+    model = base(**{"acquisition.n_frames": 60})
+    movie = nm.simulate(model, _grid(96, 19), seed=1).movie
+    options = {"psf_sigma_px": model.sigma_px, "profile": profile, "follow_molecules": follow, "min_snr": 0}
+    without = extract_traces(movie, model.camera, **options)
+    with_it = extract_traces(movie, model.camera, subtract_background=False, **options)
+    level, other = (float(np.median(found.molecules["brightness"])) for found in (without, with_it))
+    assert with_it.traces.mean() > 1.5 * without.traces.mean()  # much of it is background
+    assert other == pytest.approx(level, rel=0.03)
+
+
 def test_hot_pixels_are_not_molecules():
     model = base()
     movie = nm.simulate(model, np.array([[30.2, 40.1]]), seed=1).movie.copy()

@@ -13,7 +13,7 @@ from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
 from napari_mufasa.compare.distributions import Distribution, Sample, distributions
 from napari_mufasa.compare.fit import Fit, background_level_e, fit_gain, fit_model, fit_raw_traces
-from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, extract_simulated
+from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, background_weight, extract_simulated
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.files.traces import UNITS
@@ -200,9 +200,11 @@ def compare_traces(
     n = n_simulated or max(200, len(electrons))
     steps = _Steps(progress, 5 if fit else 4, cancel)
     field = FarApart(model.sigma_px, n, options, seed, pixel_share)
+    weight = 1.0 if field.one_pixel else background_weight(model.sigma_px, options)
+    pedestal_e = 0.0 if background_subtracted else background_level_e(model) * weight
 
     def measured_like(values: NDArray[np.floating]) -> Sample:
-        return _cut(values, model, background_subtracted, window, best if values is electrons else None)
+        return _cut(values, pedestal_e, window, best if values is electrons else None)
 
     def simulate(candidate: Model) -> NDArray[np.float32]:
         return field.traces(field.acquisition(candidate, seed), cancel)
@@ -223,7 +225,7 @@ def compare_traces(
         if background_subtracted:
             fitted = fit_model(electrons / gain, start, simulate)
         else:
-            fitted = fit_raw_traces(electrons / gain, start, simulate)
+            fitted = fit_raw_traces(electrons / gain, start, simulate, weight)
         if gain != 1.0:
             fitted.values["camera.em_gain"] = float(fitted.model.camera.em_gain or 1.0)
         # Another seed than the fit used: the fit must not profit from its own chance. A fitted gain changes
@@ -279,21 +281,18 @@ def _sample(traces: NDArray[np.floating]) -> Sample:
     return Sample(traces, dynamics(traces))
 
 
-def _cut(
-    values: NDArray[np.floating], model: Model, background_subtracted: bool, window: int | None, best: int | None
-) -> Sample:
-    background = 0.0 if background_subtracted else background_level_e(model)
-    dyn = dynamics(values - background)
+def _cut(values: NDArray[np.floating], pedestal_e: float, window: int | None, best: int | None) -> Sample:
+    dyn = dynamics(values - pedestal_e)
     if window is None and best is None:
         return Sample(values, dyn)
     if window is not None:
         start = windows(dyn, window)
         rows = np.flatnonzero(start >= 0)
         values = np.array([values[i, start[i] : start[i] + window] for i in rows]).reshape(-1, window)
-        dyn = dynamics(values - background)
+        dyn = dynamics(values - pedestal_e)
     if best is not None:  # by what the window shows, not by what came before it
         values = values[np.argsort(-dyn.snr, kind="stable")[:best]]
-        dyn = dynamics(values - background)
+        dyn = dynamics(values - pedestal_e)
     return Sample(values, dyn)
 
 

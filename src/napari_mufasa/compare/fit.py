@@ -65,14 +65,15 @@ def fit_model(
 
 
 def fit_raw_traces(
-    measured: NDArray[np.floating], model: Model, simulate: Callable[[Model], Any], *, rounds: int = ROUNDS
-) -> Fit:
+    measured: NDArray[np.floating], model: Model, simulate: Callable[[Model], Any], weight: float = 1.0, *,
+    rounds: int = ROUNDS,
+) -> Fit:  # fmt: skip
     """Fit traces (molecule, frame) from which no background was taken off, by moments.
 
-    Their mean over molecules is b + A·exp(−kt): b gives the background, k the bleaching rate, A (by comparison
-    with the simulation) the brightness. The spread of brightness is what the slow variation between molecules
-    (covariance of successive frames about the mean course) needs beyond the simulation; where it needs less, part
-    of A is put into a background that fades smoothly (many dim molecules instead of a bright one).
+    Their mean over molecules is b + A·exp(−kt): b gives the background (`weight` pixels' worth of it), k the bleaching
+    rate, A (by comparison with the simulation) the brightness. The spread of brightness is what the slow variation
+    between molecules (covariance of successive frames about the mean course) needs beyond the simulation; where it
+    needs less, part of A is put into a background that fades smoothly (many dim molecules instead of a bright one).
     """
     from scipy.optimize import curve_fit
 
@@ -86,13 +87,13 @@ def fit_raw_traces(
 
     start = (max(course.min() * 0.9, 1e-3), max(np.ptp(course), 1e-3), 1.0)
     b, a, k = curve_fit(curve, t, course, p0=start, bounds=((0, 0, 0), (max(course.max(), 1e-2), np.inf, 20)))[0]
-    fitted = _with_background(model, float(b), values)
+    fitted = _with_background(model, float(b) / weight, values)
     fitted = _with_bleaching(fitted, float(k) / (n_frames * model.acquisition.interval_s), values)
     a, k = float(a), float(k)
     remaining = float(np.mean(np.exp(-k * t)))
     for i in range(rounds + 1):
         made: NDArray[np.float64] = np.asarray(simulate(fitted), dtype=np.float64)
-        per_molecule = float(made.mean() - background_level_e(fitted) * _mean_background(fitted)) / remaining
+        per_molecule = float(made.mean() - weight * background_level_e(fitted) * _mean_background(fitted)) / remaining
         if per_molecule <= 0:
             fitted = _brightened(fitted, 2.0, values)
             continue
@@ -104,7 +105,7 @@ def fit_raw_traces(
             if wanted == a and missing > 0:
                 fitted = _with_spread(fitted, missing / (a * remaining) ** 2, values)
         fitted = _brightened(fitted, wanted / per_molecule, values)
-        fitted = _with_fading(fitted, float(b), a - wanted, k, values)
+        fitted = _with_fading(fitted, float(b) / weight, (a - wanted) / weight, k, values)
     return Fit(fitted, values)
 
 

@@ -225,6 +225,13 @@ def weigh(offset_px: NDArray[np.float64], sigma_px: float, options: Options) -> 
     return Weighing(*np.array(found)[each].T)
 
 
+def background_weight(sigma_px: float, options: Options) -> float:
+    """How many pixels' worth of background a trace of this profile holds, averaged over places within a pixel."""
+    at = (np.arange(7) + 0.5) / 7 - 0.5
+    places = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1).reshape(-1, 2)
+    return float(weigh(places, sigma_px, options).weight.mean())
+
+
 def _detected(
     acquisition: SimulatedAcquisition, light: NDArray[np.float32], read_noise: bool = True
 ) -> NDArray[np.float32]:

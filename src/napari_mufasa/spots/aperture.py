@@ -30,6 +30,7 @@ class Aperture:
     window: NDArray[np.int64]  # (candidate, window pixel) flat pixel index, clipped at the border
     window_offset: NDArray[np.float64]  # (candidate, window pixel, 2) pixel centre minus position
     inside: NDArray[np.bool_]  # (candidate, window pixel) False where the window leaves the field
+    weight: NDArray[np.float64]  # (candidate,) sum of the profile's weights: pixels' worth of background in a trace
 
     def traces(self, stack: Stack) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Traces and local backgrounds per pixel, each (candidate, frame), of a block (frame, y, x)."""
@@ -74,21 +75,23 @@ def aperture(
 
     background = _operator(ring, ring_weights, clean, n, height * width)
     signal = _operator(window, weights, weights != 0, n, height * width)
+    total = weights.sum(axis=1)
     if subtract_background:
-        signal = (signal - sparse.diags(weights.sum(axis=1)) @ background).tocsr()
-    return Aperture(signal.astype(np.float32), background.astype(np.float32), window, offset, inside)
+        signal = (signal - sparse.diags(total) @ background).tocsr()
+    return Aperture(signal.astype(np.float32), background.astype(np.float32), window, offset, inside, total)
 
 
 @dataclass(frozen=True)
 class Reading:
     """What is read of one frame at places that no other frame has: trace, background (candidate,), the latter per
-    pixel; window, window_offset, inside as of an `Aperture`."""
+    pixel; window, window_offset, inside, weight as of an `Aperture`."""
 
     trace: NDArray[np.float32]
     background: NDArray[np.float32]
     window: NDArray[np.int64]
     window_offset: NDArray[np.float64]
     inside: NDArray[np.bool_]
+    weight: NDArray[np.float64]
 
 
 def read_frame(
@@ -107,9 +110,10 @@ def read_frame(
     lit = _near(positions_px, shape, 3.0 * sigma_px)
     background = ring_means(frame, positions_px, centre, lit, float(inner), outer, MIN_RING)
     trace = (weights * frame.ravel()[window]).sum(axis=1)
+    total = weights.sum(axis=1)
     if subtract_background:
-        trace = trace - weights.sum(axis=1) * background
-    return Reading(trace.astype(np.float32), background.astype(np.float32), window, offset, inside)
+        trace = trace - total * background
+    return Reading(trace.astype(np.float32), background.astype(np.float32), window, offset, inside, total)
 
 
 def _sizes(sigma_px: float) -> tuple[int, float, int]:

@@ -156,7 +156,8 @@ def _describe(seen: Candidates, options: Options, frames: Frames) -> tuple[pd.Da
     measured, positions = seen.measured, seen.positions_px
     traces = measured.traces
     if not options.subtract_background:  # levels are above the background; steps do not care about it
-        traces = traces - np.median(measured.background, axis=1, keepdims=True)
+        held = measured.weight[:, None].astype(np.float32)
+        traces = traces - held * np.median(measured.background, axis=1, keepdims=True)
     dyn = dynamics(traces, options.step_false_alarm)
     window_start = np.full(len(positions), -1)
     if options.window is not None:

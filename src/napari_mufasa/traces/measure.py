@@ -17,11 +17,13 @@ from napari_mufasa.traces.options import Options
 
 @dataclass(frozen=True)
 class Measured:
-    """traces, background (candidate, frame) photoelectrons, per pixel the latter; shapes : of the lit images; noise_e,
-    mean_e : of the movie, per pixel and frame."""
+    """traces, background (candidate, frame) photoelectrons, per pixel the latter; weight (candidate,) pixels' worth of
+    background that a trace holds where none is subtracted; shapes : of the lit images; noise_e, mean_e : of the movie,
+    per pixel and frame."""
 
     traces: NDArray[np.float32]
     background: NDArray[np.float32]
+    weight: NDArray[np.float64]
     shapes: Shapes
     noise_e: float
     mean_e: float
@@ -52,12 +54,13 @@ def _measured(
     frames: Frames, reads: _InPlace | _Along, sigma: float, report: Callable[[int], None] | None,
     cancel: Callable[[], bool] | None, beside: Callable[[slice], Any] = lambda span: None,
 ) -> Measured:  # fmt: skip
-    traces, backgrounds = [], []
+    traces, backgrounds, weights = [], [], []
     lit_images: LitImages | None = None
     means, variances = [], []
     for _, block in frames.worked(reads, beside, report=report, cancel=cancel):
         traces.append(block.traces)
         backgrounds.append(block.background)
+        weights.append(block.weight)
         # A block's lit images are many times larger than its traces: they are added up as they come.
         if lit_images is None:
             lit_images = block.lit_images
@@ -69,6 +72,7 @@ def _measured(
     return Measured(
         np.concatenate(traces, axis=1),
         np.concatenate(backgrounds, axis=1),
+        np.average(weights, axis=0, weights=[part.shape[1] for part in traces]),
         lit_images.measure(sigma),
         float(np.sqrt(np.mean(variances))) if variances else float("nan"),
         float(np.mean(means)),
@@ -77,22 +81,24 @@ def _measured(
 
 @dataclass(frozen=True)
 class _Read:
-    """What a block of frames shows: traces, background (candidate, frame); mean and variance in time of its pixels,
-    None of a single frame."""
+    """What a block of frames shows: traces, background (candidate, frame), weight (candidate,); mean and variance in
+    time of its pixels, None of a single frame."""
 
     traces: NDArray[np.float32]
     background: NDArray[np.float32]
+    weight: NDArray[np.float64]
     lit_images: LitImages
     mean: float
     variance: float | None
 
     @classmethod
     def of(
-        cls, stack: Stack, traces: NDArray[np.float32], background: NDArray[np.float32], lit_images: LitImages
-    ) -> _Read:
+        cls, stack: Stack, traces: NDArray[np.float32], background: NDArray[np.float32], weight: NDArray[np.float64],
+        lit_images: LitImages,
+    ) -> _Read:  # fmt: skip
         steps = np.diff(stack, axis=0) if len(stack) > 1 else None
         variance = None if steps is None else float(np.median(np.mean(steps**2, axis=0))) / 2
-        return cls(traces, background, lit_images, float(stack.mean(dtype=np.float64)), variance)
+        return cls(traces, background, weight, lit_images, float(stack.mean(dtype=np.float64)), variance)
 
 
 @dataclass(frozen=True)
@@ -121,15 +127,17 @@ class _InPlace:
         stack = frames.electrons(counts, start)
         traces = np.empty((len(self.positions), len(stack)), np.float32)
         background = np.empty_like(traces)
+        weight = np.zeros(len(self.positions))
         lit_images: LitImages | None = None
         for first, last in drift.still_parts(self.motion, start, start + len(stack)):
             opening = self._opening(frames.shape[1:], first, last)
             lit_images = lit_images or LitImages(opening.window.shape)
             span = slice(first - start, last - start)
             traces[:, span], background[:, span] = opening.traces(stack[span])
+            weight += opening.weight * (last - first) / len(stack)
             lit_images.add(opening, stack[span], light_around(traces[:, span]), background[:, span])
         assert lit_images is not None  # a block has frames
-        return _Read.of(stack, traces, background, lit_images)
+        return _Read.of(stack, traces, background, weight, lit_images)
 
     def _opening(self, shape: tuple[int, int], first: int, last: int) -> aperture.Aperture:
         """One for all frames where nothing moves."""
@@ -170,4 +178,5 @@ class _Along:
         lit_images = LitImages(readings[0].window.shape)
         for t, reading in enumerate(readings):
             lit_images.add(reading, stack[t : t + 1], near[:, t : t + 1], background[:, t : t + 1])
-        return _Read.of(stack, traces, background, lit_images)
+        weight = np.mean([reading.weight for reading in readings], axis=0)
+        return _Read.of(stack, traces, background, weight, lit_images)
