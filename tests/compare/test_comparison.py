@@ -177,6 +177,47 @@ def test_the_background_in_a_trace_is_that_of_all_its_pixels(profile):
     assert background == pytest.approx(model.optics.background_photons_per_px, rel=0.15)
 
 
+@pytest.mark.parametrize("window", [None, 15, 30])
+def test_the_fit_knows_the_bleaching_whatever_window_is_kept(window):
+    """Molecules that live 40 of 100 frames: of 64, 92 % bleach, 33 are seen in windows of 30 frames, and 83 % of those
+    bleach in the 70 frames left: ln(1 - share) has an sd of sqrt(0.83 / (0.17 * 33)) = 0.38 of 1.75, more than in the
+    other two. Windows end at the bleaching: they show none."""
+    model = nm.Model.from_dict(generator.base_model("emccd")).with_values({"acquisition.n_frames": 100})
+    model = model.with_values({"acquisition.shape_px": (136, 136)})
+    rate = 1 / (40 * model.acquisition.interval_s)
+    model = model.with_effects(effect_class("photobleaching")(rate_per_s=rate))
+    places = np.stack(np.meshgrid(*[8.0 + 17 * np.arange(8)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    movie = nm.simulate(model, places, seed=3).movie
+    found = compare_movie(movie, model, seed=1, n_bootstrap=5, window=window)
+    assert found.fit.values["photobleaching.rate_per_s"] == pytest.approx(rate, rel=3 * 0.38 / 1.75)
+
+
+def test_molecules_that_were_never_seen_do_not_count_as_not_bleached():
+    """Of 200 that live 20 of 100 frames 14 % are gone within three, and are dark in a table of traces. Of the others
+    0.7 % are left at the end: 0 to 4 of 172, a share that gives the rate within a fifth and a third."""
+    from napari_mufasa.compare.simulated import FarApart
+    from napari_mufasa.traces import Options
+
+    model = nm.Model.from_dict(generator.base_model("cmos")).with_values({"acquisition.n_frames": 100})
+    rate = 1 / (20 * model.acquisition.interval_s)
+    model = model.with_effects(effect_class("photobleaching")(rate_per_s=rate))
+    field = FarApart(model.sigma_px, 200, Options(psf_sigma_px=model.sigma_px), 3)
+    traces = field.traces(field.acquisition(model, 5))
+    found = compare_traces(traces, model, seed=1, n_bootstrap=5)
+    assert 0.7 < found.fit.values["photobleaching.rate_per_s"] / rate < 1.25
+    assert found.w1["fitted"] < 2 * found.w1["floor"]
+
+
+def test_a_movie_whose_traces_keep_their_background_bleaches_as_well(bleaching):
+    """The same molecules, judged by their light above the background in the samples and in the fit."""
+    case, model, without = bleaching
+    found = compare_movie(case.movie, model, case.dark, seed=1, n_bootstrap=5, subtract_background=False)
+    bleached = [(c.samples["measured"].dynamics.bleaching_frame >= 0).mean() for c in (found, without)]
+    assert bleached[0] == pytest.approx(bleached[1], abs=0.1)
+    assert found.fit.values == pytest.approx(without.fit.values, rel=0.15, abs=0.1)
+    assert found.w1["fitted"] <= 1.5 * found.w1["floor"]
+
+
 def test_a_live_distance_takes_well_under_a_second():
     """What the viewer does when a parameter changes: simulate, W1, floor."""
     import time

@@ -130,17 +130,25 @@ def compare_movie(
         movies = (SimulatedAcquisition(candidate, _places(model, measured, each), each) for each in seeds)
         return [extract_simulated(a, options, cancel=cancel).traces for a in movies]
 
-    samples = {"measured": _sample(measured.traces)}
+    weight = 0.0 if options.subtract_background else background_weight(measured.sigma_px, options)
+    pedestal_e = weight * background_level_e(model)
+    samples = {"measured": _sample(measured.traces, weight * measured.background_e)}
     for name, acquisition in acquisitions(model, places, seed, sofi_times).items():
         traces = [extract_simulated(acquisition, options, cancel=cancel).traces]
-        samples[name] = _sample(np.concatenate(traces + (simulate(model, but=1) if name == "mufasa" else [])))
+        samples[name] = _sample(
+            np.concatenate(traces + (simulate(model, but=1) if name == "mufasa" else [])), pedestal_e
+        )
         steps.done()
     fitted = None
     if fit:
-        fitted = fit_model(measured, model, lambda candidate: np.concatenate(simulate(candidate)))
+        above = replace(measured, traces=measured.traces - weight * measured.background_e)
+        fitted = fit_model(
+            above, model, lambda candidate: np.concatenate(simulate(candidate)) - weight * background_level_e(candidate)
+        )
         steps.done()
         # Another seed than the fit used: the fit must not profit from its own chance.
-        samples["fitted"] = _sample(np.concatenate(simulate(fitted.model, seed + 10)))
+        again = np.concatenate(simulate(fitted.model, seed + 10))
+        samples["fitted"] = _sample(again, weight * background_level_e(fitted.model))
         steps.done()
     notes = measured.notes + tuple(
         f"{name}: no molecule was detected in the simulated movie" for name, s in samples.items() if not len(s.traces)
@@ -277,8 +285,8 @@ def _places(model: Model, measured: TraceSet, seed: int) -> NDArray[np.float64]:
     return np.asarray(measured.positions_px[candidates])
 
 
-def _sample(traces: NDArray[np.floating]) -> Sample:
-    return Sample(traces, dynamics(traces))
+def _sample(traces: NDArray[np.floating], pedestal_e: float) -> Sample:
+    return Sample(traces, dynamics(traces - pedestal_e))
 
 
 def _cut(values: NDArray[np.floating], pedestal_e: float, window: int | None, best: int | None) -> Sample:

@@ -21,6 +21,7 @@ from napari_mufasa.model.model import Model
 from napari_mufasa.traces import TraceSet
 from napari_mufasa.traces.correlation import autocovariance
 from napari_mufasa.traces.dynamics import Dynamics, dynamics
+from napari_mufasa.traces.select import Choice
 
 ROUNDS = 3
 QUANTILES = 4000
@@ -50,7 +51,7 @@ def fit_model(
     if isinstance(measured, TraceSet):
         fitted = _with_background(fitted, measured.background_e, values)
     real = _moments(measured)
-    fitted = _with_bleaching(fitted, real.bleaching_rate(model), values)
+    fitted = _with_bleaching(fitted, _bleaching_rate(measured, model), values)
     for i in range(rounds):
         traces = np.asarray(simulate(fitted))
         made = _moments(traces)
@@ -172,30 +173,39 @@ class _Moments:
     n: int
     level: float
     spread: float  # relative, between molecules
-    bleached: float  # share by the end
-    n_frames: int
-
-    def bleaching_rate(self, model: Model) -> float:
-        """The rate, 1/s, at which this share has bleached by the end."""
-        share = min(self.bleached, 1 - 0.5 / max(self.n, 1))
-        return float(-np.log1p(-share) / (self.n_frames * model.acquisition.interval_s))
 
 
 def _moments(traces: Any) -> _Moments:
     array = np.asarray(traces.traces if isinstance(traces, TraceSet) else traces, dtype=float)
     if len(array) == 0:
-        return _Moments(0, 0.0, 0.0, 0.0, array.shape[1])
+        return _Moments(0, 0.0, 0.0)
     dyn: Dynamics = dynamics(array)
     on = dyn.on_level[dyn.on_level > 0]
     if len(on) == 0:
-        return _Moments(0, 0.0, 0.0, 0.0, array.shape[1])
-    return _Moments(
-        len(on),
-        float(on.mean()),
-        float(on.std() / on.mean()),
-        float(np.mean(dyn.bleaching_frame >= 0)),
-        array.shape[1],
-    )
+        return _Moments(0, 0.0, 0.0)
+    return _Moments(len(on), float(on.mean()), float(on.std() / on.mean()))
+
+
+def _bleaching_rate(measured: Any, model: Model) -> float:
+    """The rate, 1/s, at which as many of the molecules seen have bleached by the end of the movie as were found to.
+
+    A molecule seen in a window before it bleached could not have bleached earlier: the movie is shorter by the window.
+    One that is dark from the first frame on, as a table of traces may hold, was never seen and says nothing.
+    """
+    interval_s, window = model.acquisition.interval_s, 0
+    if isinstance(measured, TraceSet):
+        whole, window = measured.all_traces[measured.kept], measured.options.window or 0
+        bleached = measured.molecules["bleaching_frame"].to_numpy()[measured.kept] >= 0
+    else:
+        whole = np.asarray(measured, dtype=float)
+        dyn = dynamics(whole)
+        seen = (dyn.snr >= Choice.min_snr) & (dyn.lit.sum(axis=1) >= Choice.min_lit_frames)
+        bleached = dyn.bleaching_frame[seen] >= 0
+    n, n_frames = len(bleached), whole.shape[1] - window
+    if n == 0 or n_frames < 1:
+        return 0.0
+    share = min(float(bleached.mean()), 1 - 0.5 / n)
+    return float(-np.log1p(-share) / (n_frames * interval_s))
 
 
 def _with_background(model: Model, background_e: float, values: dict[str, float]) -> Model:
