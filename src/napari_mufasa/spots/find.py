@@ -152,8 +152,9 @@ def isolation_px(sigma_px: float) -> float:
 def estimate_sigma_px(frames: Frames, n_spots: int = 40) -> float | None:
     """PSF sd in px measured on the brightest isolated spots of the movie's beginning; None without spots.
 
-    A spot of width σ answers blur(s) − blur(s') with 1/(σ²+s²) − 1/(σ²+s'²): σ is the width whose answers
-    over all scales are most nearly parallel to those of the spots.
+    A spot of variance v = σ² + 1/12 (a pixel's own) answers blur(s) − blur(s') with 1/(v+s²) − 1/(v+s'²): σ is the
+    width whose answers are most nearly parallel to those of the spots at their tops, over all scales first, then over
+    those up to twice the width, which neighbours do not reach.
     """
     n = min(frames.n_frames, max(1, min(50, frames.block_frames())))
     image = frames.photoelectrons(np.asarray(frames.movie[:n])).mean(axis=0)
@@ -167,9 +168,29 @@ def estimate_sigma_px(frames: Frames, n_spots: int = 40) -> float | None:
     if len(peaks) == 0:
         return None
     chosen = peaks[np.argsort(-best[tuple(peaks.T)])[:n_spots]]
-    curves = np.median(responses[:, chosen[:, 0], chosen[:, 1]] / scales[:, None] ** 2, axis=1)
+    curves = np.median(_tops(responses, chosen) / scales[:, None] ** 2, axis=1)
     widths = np.geomspace(0.5, 8.0, 200)
     steps = np.append(scales, scales[-1] * np.sqrt(2))
-    models = 1 / (widths[:, None] ** 2 + steps[:-1] ** 2) - 1 / (widths[:, None] ** 2 + steps[1:] ** 2)
-    models /= np.linalg.norm(models, axis=1, keepdims=True)
-    return float(widths[np.argmax(models @ curves)])
+    variance = widths[:, None] ** 2 + 1 / 12
+    models = 1 / (variance + steps[:-1] ** 2) - 1 / (variance + steps[1:] ** 2)
+
+    def nearest(n: int) -> float:
+        parallel = models[:, :n] @ curves[:n] / np.linalg.norm(models[:, :n], axis=1)
+        return float(widths[np.argmax(parallel)])
+
+    first = nearest(len(scales))
+    return nearest(max(3, int(np.count_nonzero(scales <= 2 * first))))
+
+
+def _tops(images: NDArray[np.floating], peaks: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Heights (image, peak) of the parabolas through some maxima (peak, 2) of images (image, y, x): a spot's top lies
+    between the pixels."""
+    padded = np.pad(images, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    y, x = peaks.T + 1
+    middle = padded[:, y, x].astype(np.float64)
+    heights = middle.copy()
+    for before, after in (((y - 1, x), (y + 1, x)), ((y, x - 1), (y, x + 1))):
+        low, high = padded[:, *before], padded[:, *after]
+        bend = low - 2 * middle + high
+        heights -= np.divide((low - high) ** 2, 8 * bend, out=np.zeros_like(middle), where=np.abs(low - high) < -bend)
+    return heights
