@@ -243,6 +243,28 @@ def test_levels_are_above_the_background_that_a_trace_keeps(profile, follow):
     assert other == pytest.approx(level, rel=0.03)
 
 
+@pytest.mark.parametrize("held", [1, 2, 5, 60])
+def test_the_noise_of_a_pixel_does_not_depend_on_how_many_frames_are_held(held, monkeypatch):
+    """F² of the background and the read noise over the gain; medians over the pixels of 30 and more steps' mean squares
+    are below the mean by less than 3 %, and electron-multiplied noise has heavier tails."""
+    model = base(**{"acquisition.n_frames": 60})
+    movie = nm.simulate(model, _grid(96, 32), seed=1).movie
+    monkeypatch.setattr("napari_mufasa.camera.frames.BLOCK_BYTES", held * 4 * 96 * 96)
+    camera, photons = model.camera, model.optics.background_photons_per_px
+    level_e = camera.quantum_efficiency * photons + camera.clock_induced_charge_e
+    noise_e = np.sqrt(2 * level_e + (camera.read_noise_e / camera.em_gain) ** 2)
+    assert extract_traces(movie, camera, psf_sigma_px=model.sigma_px).noise_e == pytest.approx(noise_e, rel=0.06)
+
+
+def test_a_block_longer_than_the_movie_is_the_movie():
+    model = base(**{"acquisition.n_frames": 30})
+    movie = nm.simulate(model, _grid(96, 19), seed=1).movie
+    long, whole = (
+        extract_traces(movie, model.camera, psf_sigma_px=model.sigma_px, time_block=block) for block in (1000, 30)
+    )
+    assert len(long.molecules) == len(whole.molecules) == 25
+
+
 def test_hot_pixels_are_not_molecules():
     model = base()
     movie = nm.simulate(model, np.array([[30.2, 40.1]]), seed=1).movie.copy()

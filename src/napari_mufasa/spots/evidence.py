@@ -107,7 +107,7 @@ def search(
     from napari_mufasa.spots import kernels
 
     shape = frames.shape[1:]
-    block = block or max(1, -(-frames.n_frames // SHORT_BLOCKS))
+    block = min(block or max(1, -(-frames.n_frames // SHORT_BLOCKS)), frames.n_frames)
     total, steps = np.zeros(shape, np.float64), np.zeros(shape, np.float64)
     early, late = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     shortest, middle = np.full(shape, -np.inf, np.float32), np.full(shape, -np.inf, np.float32)

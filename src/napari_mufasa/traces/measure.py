@@ -56,8 +56,10 @@ def _measured(
 ) -> Measured:  # fmt: skip
     traces, backgrounds, weights = [], [], []
     lit_images: LitImages | None = None
-    means, variances = [], []
-    for _, block in frames.worked(reads, beside, report=report, cancel=cancel):
+    means: list[float] = []
+    squares, steps = np.zeros(frames.shape[1:]), 0
+    # Two frames at least, however large they are: noise is told by how they differ.
+    for _, block in frames.worked(reads, beside, multiple=2, report=report, cancel=cancel):
         traces.append(block.traces)
         backgrounds.append(block.background)
         weights.append(block.weight)
@@ -67,38 +69,38 @@ def _measured(
         else:
             lit_images.include(block.lit_images)
         means.append(block.mean)
-        variances += [] if block.variance is None else [block.variance]
+        squares += block.squares
+        steps += traces[-1].shape[1] - 1
     assert lit_images is not None  # a movie has frames
     return Measured(
         np.concatenate(traces, axis=1),
         np.concatenate(backgrounds, axis=1),
         np.average(weights, axis=0, weights=[part.shape[1] for part in traces]),
         lit_images.measure(sigma),
-        float(np.sqrt(np.mean(variances))) if variances else float("nan"),
+        float(np.sqrt(np.median(squares) / (2 * steps))) if steps else float("nan"),
         float(np.mean(means)),
     )
 
 
 @dataclass(frozen=True)
 class _Read:
-    """What a block of frames shows: traces, background (candidate, frame), weight (candidate,); mean and variance in
-    time of its pixels, None of a single frame."""
+    """What a block of frames shows: traces, background (candidate, frame), weight (candidate,); mean of its
+    pixels, and of each (y, x) the sum of squares of its steps from frame to frame."""
 
     traces: NDArray[np.float32]
     background: NDArray[np.float32]
     weight: NDArray[np.float64]
     lit_images: LitImages
     mean: float
-    variance: float | None
+    squares: NDArray[np.float32]
 
     @classmethod
     def of(
         cls, stack: Stack, traces: NDArray[np.float32], background: NDArray[np.float32], weight: NDArray[np.float64],
         lit_images: LitImages,
     ) -> _Read:  # fmt: skip
-        steps = np.diff(stack, axis=0) if len(stack) > 1 else None
-        variance = None if steps is None else float(np.median(np.mean(steps**2, axis=0))) / 2
-        return cls(traces, background, weight, lit_images, float(stack.mean(dtype=np.float64)), variance)
+        squares = np.square(np.diff(stack, axis=0)).sum(axis=0)
+        return cls(traces, background, weight, lit_images, float(stack.mean(dtype=np.float64)), squares)
 
 
 @dataclass(frozen=True)
