@@ -74,3 +74,40 @@ def test_large_results_are_written_to_disk_and_read_when_looked_at(with_movie, o
     stored = with_movie.layers[-1].data
     assert not isinstance(stored, np.ndarray)
     np.testing.assert_allclose(np.asarray(stored[20]), whole[20], atol=1e-5)
+
+
+def test_preview_is_of_the_frame_in_view_and_lies_on_the_movie_chosen(with_movie, open_panel, qtbot, bright_movie):
+    from napari_mufasa.widgets.parts.denoise_preview import SHOWN, _contrast
+    from napari_mufasa.widgets.parts.layers import plane_of
+
+    panel, layers, session = open_panel(DenoisePanel, with_movie), with_movie.layers, session_of(with_movie)
+    seconds, step = layers["bright"], 0.05
+    seconds.scale = (step, *seconds.scale[1:])
+    with_movie.add_image(np.zeros((2, 400, 4, 4)), name="more axes, finer", scale=(1, 0.01, 1, 1))
+    with_movie.dims.set_point(1, 30 * step)
+    panel.preview.switch.setChecked(True)
+    qtbot.waitUntil(lambda: SHOWN in layers, timeout=30_000)
+    learnt = panel.preview._ready[1]
+    assert np.array_equal(panel.preview.look.after, learnt.look(30).after)
+
+    # another movie of the same shape: preview and contrast are its own
+    larger = tuple(2 * step for step in seconds.scale)
+    other = with_movie.add_image(bright_movie.movie[::-1], name="other", scale=larger, units=seconds.units)
+    session.set_movie(other)
+    qtbot.waitUntil(lambda: SHOWN in layers and plane_of(layers[SHOWN]) == plane_of(other), timeout=30_000)
+    assert layers[SHOWN].contrast_limits == pytest.approx(_contrast(SHOWN, panel.preview.look))
+    panel.preview.switch.setChecked(False)
+
+
+def test_preview_of_a_movie_that_begins_dark_learns_once(with_movie, open_panel, qtbot):
+    panel = open_panel(DenoisePanel, with_movie)
+    session_of(with_movie).set_dark_frames(5)
+    with_movie.dims.set_point(0, 20)
+    panel.preview.switch.setChecked(True)
+    qtbot.waitUntil(lambda: panel.preview.look is not None, timeout=30_000)
+    learnt, first = panel.preview._ready[1], panel.preview.look
+    assert np.array_equal(first.after, learnt.look(15).after)
+    with_movie.dims.set_point(0, 21)
+    qtbot.waitUntil(lambda: panel.preview.look is not first, timeout=30_000)
+    assert panel.preview._ready[1] is learnt
+    panel.preview.switch.setChecked(False)

@@ -36,6 +36,7 @@ class PreviewBox(QWidget):
         self.look: Look | None = None
         self._ready: tuple[Any, Preview | None] = (None, None)  # what the preview learnt from, and the preview
         self._layers = OwnLayers(session.viewer)
+        self._made_for: dict[str, Any] = {}  # by layer, the movie it was made for and its place
         self._latest = Latest(WAIT_MS, self)
         self._latest.arrived.connect(self._on_arrived)
         tip = "Denoises the frame in view, and each one you go to"
@@ -64,11 +65,14 @@ class PreviewBox(QWidget):
             self._stop(error)
             return
         (method, excess), camera, movie = self.settings(), self.session.model.camera, measurement.movie
-        frame = int(np.clip(self._dims.current_step[0] - measurement.first_frame, 0, movie.shape[0] - 1))
-        key = (id(movie), movie.shape, measurement.first_frame, camera.model_dump_json(), method, excess)
+        layer: Any = self.session.movie_layer
+        shown = round(layer.world_to_data(self._dims.point)[0]) if layer.ndim == 3 else 0
+        frame = int(np.clip(shown - measurement.first_frame, 0, movie.shape[0] - 1))
+        # What the layer holds, for the movie may be a view of it, another one at each look.
+        key = (id(layer.data), movie.shape, measurement.first_frame, camera.model_dump_json(), method, excess)
         known, preview = self._ready
         if known != key:
-            preview = None
+            preview, self.look = None, None
             self.words.say("Learning from the movie …")
 
         def work(cancel: Callable[[], bool]) -> tuple[Any, Preview, Look]:
@@ -110,12 +114,14 @@ class PreviewBox(QWidget):
         movie, look = self.session.movie_layer, self.look
         if look is None or movie is None:
             return
+        made_for = (id(movie.data), plane_of(movie))
         for name, data in ((TAKEN, look.residual), (SHOWN, look.split(self.split.value() / 100))):
             shown = self._layers.get(name)
-            if shown is not None and shown.data.shape == data.shape:
+            if shown is not None and self._made_for[name] == made_for:
                 shown.data = data
                 continue
             self._layers.remove(name)
+            self._made_for[name] = made_for
             # Neither is ever offered as the movie, like the pictures of where a model fails.
             new = Image(
                 data, name=name, contrast_limits=_contrast(name, look), colormap="gray", visible=name == SHOWN,
