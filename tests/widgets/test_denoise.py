@@ -54,6 +54,8 @@ def test_denoise_camera_presets_and_residual(with_movie, open_panel, run, bright
     run(panel)
     after, taken = with_movie.layers["bright, photons"].data, with_movie.layers["bright, taken away"].data
     before = cam.photons(cam.photoelectrons(bright_movie.movie, bright_model.camera), bright_model.camera)
+    for name in ("photons", "taken away"):
+        assert with_movie.layers[f"bright, {name}"].axis_labels == ("frame", "y", "x")
     np.testing.assert_allclose(np.asarray(taken[7]), (before - after)[7], atol=1e-4)
     panel.preset.native.setCurrentText("sCMOS, linear")
     panel.preset.native.activated.emit(panel.preset.native.currentIndex())

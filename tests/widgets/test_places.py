@@ -93,3 +93,20 @@ def test_cancel_stops_it():
     movie = simulate(BELIEVED, seed=3).movie
     with pytest.raises(Cancelled):
         find_places(measured(movie), BELIEVED, (48, 48), cancel=lambda: True)
+
+
+def test_layers_of_a_place_follow_the_units_of_the_movie_and_its_frames_beside_more_axes(viewer):
+    from napari.layers import Image
+
+    from napari_mufasa.widgets.parts.place_layers import PlaceLayers
+
+    shown, movie = PlaceLayers(viewer), viewer.add_image(np.zeros((9, 4, 4)), name="movie", scale=(0.5, 1, 1))
+    for units in (("pixel",) * 3, ("pixel", "um", "um")):
+        shown.show("map", Image(np.zeros((1, 4, 4)), units=units), movie)
+        assert tuple(str(unit) for unit in shown.get("map").units[1:]) == (
+            ("micrometer",) * 2 if "um" in units else ("pixel",) * 2
+        )
+    viewer.add_image(np.zeros((3, 9, 4, 4)), name="more axes", scale=(1, 0.5, 1, 1))
+    viewer.dims.set_point(0, 2)
+    shown._go_to(6, movie)
+    assert tuple(viewer.dims.point[:2]) == (2, 3)

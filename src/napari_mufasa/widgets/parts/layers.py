@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 def plane_of(layer: Layer) -> dict[str, Any]:
     """The place of a result (y, x) that lies on top of a layer."""
-    return {key: tuple(getattr(layer, key))[-2:] for key in ("scale", "translate", "units")}
+    return {key: tuple(getattr(layer, key))[-2:] for key in ("scale", "translate", "units", "axis_labels")}
 
 
 def space_of(movie: Image, first_frame: int = 0) -> dict[str, Any]:
     """The place of a result (frame, y, x) that begins with a later frame of the movie; a single image gets an axis."""
-    scale, translate, units = movie.scale, movie.translate, tuple(movie.units)
+    scale, translate, units, labels = movie.scale, movie.translate, tuple(movie.units), tuple(movie.axis_labels)
     if movie.ndim == 2:
-        scale, translate, units = (1.0, *scale), (0.0, *translate), ("pixel", *units)
+        scale, translate, units, labels = (1.0, *scale), (0.0, *translate), ("pixel", *units), ("frame", *labels)
     start = float(translate[0] + first_frame * scale[0])
-    return {"scale": tuple(scale), "translate": (start, *translate[1:]), "units": units}
+    return {"scale": tuple(scale), "translate": (start, *translate[1:]), "units": units, "axis_labels": labels}
 
 
 def movie_layer(
@@ -100,7 +100,7 @@ class OwnLayers:
             return True
         if not np.array_equal(layer.data, new.data):
             layer.data = new.data
-        for key in ("name", "scale", "translate", "metadata"):
+        for key in ("name", "scale", "translate", "units", "metadata"):
             setattr(layer, key, getattr(new, key))
         if isinstance(layer, Points):
             layer.features = new.features

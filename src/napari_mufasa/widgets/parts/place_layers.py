@@ -24,6 +24,7 @@ def map_of(name: str, places: Places, movie: Image, first_frame: int = 0) -> Ima
     long, (step, *pixel), start = places.n_frames / len(z), space["scale"], space["translate"][0]
     return Image(
         z, name=f"where: {WORDS[name]}", scale=(long * step, *pixel), units=space["units"],
+        axis_labels=space["axis_labels"],
         translate=(start + (long - 1) / 2 * step, *_at(places, movie)),
         colormap="PiYG", contrast_limits=(-SD_SHOWN, SD_SHOWN), metadata={METADATA_KEY: {"role": PLACE}},
     )  # fmt: skip
@@ -113,7 +114,7 @@ class PlaceLayers(OwnLayers):
     def _go_to(self, frame: int, movie: Image) -> None:
         """Show a frame, counted in the movie's own frames."""
         if movie.ndim == 3:
-            self.viewer.dims.set_point(0, float(movie.translate[0] + frame * movie.scale[0]))
+            self.viewer.dims.set_point(self.viewer.dims.ndim - 3, float(movie.translate[0] + frame * movie.scale[0]))
 
 
 def _at(places: Places, movie: Image) -> tuple[float, float]:
