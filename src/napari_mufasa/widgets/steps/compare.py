@@ -66,7 +66,7 @@ compare_widget = magic_factory(compare, call_button="Compare", widget_init=begin
 class ComparePanel(Panel):
     words = (
         "Simulate the believed model, read its movie like the measured one, and compare the molecules' signals. "
-        "The floor is the distance between two halves of the measurement: no model gets below it."
+        "The floor is the distance between two halves of the measurement: no model can be expected to do better."
     )
     run_label, running, needs_counts = "Compare", "Comparing", True
     form_factory = compare_widget
