@@ -18,6 +18,7 @@ from napari_mufasa.compare import (
     distributions,
     to_photoelectrons,
 )
+from napari_mufasa.compare.comparison import is_without_background
 from napari_mufasa.compare.distributions import Sample, dwell_frames, until_bleaching
 from napari_mufasa.effects import effect_class
 from napari_mufasa.files.traces import read_traces
@@ -102,6 +103,9 @@ def test_traces_alone_in_every_unit():
     above = electrons * camera.em_gain / camera.electrons_per_adu
     told = to_photoelectrons(above, model, "adu", background_subtracted=True)
     np.testing.assert_allclose(told, electrons, rtol=1e-4, atol=1e-3)
+    # Where nobody says, counts are as recorded.
+    said = {(u, off): is_without_background(u, off) for u in ("adu", "photons") for off in (None, True, False)}
+    assert [key for key, without in said.items() if without] == [("adu", True), ("photons", None), ("photons", True)]
     settings = {"profile": "brightest_pixel", "background_subtracted": False, "fit": False, "n_bootstrap": 5}
     one = compare_traces(electrons, model, **settings)
     two = compare_traces(np.round(raw).astype(np.uint16), model, unit="adu", **settings)

@@ -9,6 +9,7 @@ import pytest
 from tests.blind import generator
 
 import napari_mufasa as nm
+from napari_mufasa.compare.fit import fit_gain
 from napari_mufasa.compare.simulated import FarApart
 from napari_mufasa.discover import diagnose_traces, rules
 from napari_mufasa.discover.investigation import TraceInvestigation
@@ -82,6 +83,18 @@ def test_the_budget_counts_a_table_not_the_field_of_its_model(believed):
     wide = believed.with_values({"acquisition.shape_px": [512, 512]})
     assert TraceBench(traces, wide).size == traces.size
     assert TraceInvestigation(traces, wide).budget == rules.BUDGET
+
+
+def test_counts_are_what_photoelectrons_are_with_a_baseline_or_without(believed):
+    traces, camera = made(believed), believed.camera
+    counts = traces * (camera.em_gain or 1.0) / camera.electrons_per_adu
+    level = TraceBench(traces, believed)._electrons.mean()
+    without = TraceBench(counts, believed, "adu", background_subtracted=True)
+    assert without._electrons.mean() == pytest.approx(level, rel=1e-3)
+    # As recorded, with the half that the floor to whole counts takes; what a count is worth is told by the noise.
+    kept = TraceBench(counts + camera.baseline_adu - 0.5, believed, "adu")
+    _, gain = fit_gain(counts + camera.baseline_adu - 0.5, believed)
+    assert not kept.background_subtracted and kept._electrons.mean() == pytest.approx(level / gain, rel=1e-3)
 
 
 def test_a_gain_that_is_wrong_shows(believed):

@@ -162,7 +162,7 @@ def compare_traces(
     *,
     unit: str = "photoelectrons",
     profile: str = "psf",
-    background_subtracted: bool = True,
+    background_subtracted: bool | None = None,
     pixel_share: float | None = None,
     window: int | None = None,
     best: int | None = None,
@@ -184,7 +184,8 @@ def compare_traces(
     traces : (molecule, frame) in `unit`: "photoelectrons", "photons" or "adu"
     profile : what the traces hold: "brightest_pixel", "sum" or "psf"
     pixel_share : share of a molecule's light in its brightest pixel, if it is not the PSF's
-    background_subtracted : whether the local background was taken off the traces (in ADU: the baseline, too)
+    background_subtracted : whether the local background was taken off the traces (in ADU: the baseline, too); None:
+        yes, but for ADU, which are taken as recorded
     window, best : cut measured and simulated traces alike to the `window` frames before bleaching in which
         they are active, and keep the `best` of them
     n_simulated : simulated molecules (None: as many as measured, at least 200)
@@ -199,6 +200,7 @@ def compare_traces(
         if value is not None:
             checks.whole(value, name, least)
     checks.choice(profile, "profile", get_args(Profile))
+    background_subtracted = is_without_background(unit, background_subtracted)
     electrons = to_photoelectrons(traces, model, unit, background_subtracted=background_subtracted)
     if window is not None and window > electrons.shape[1]:
         raise MufasaError(f"window = {window} frames; the traces have {electrons.shape[1]}: give 1 … that")
@@ -243,6 +245,11 @@ def compare_traces(
         steps.done()
     notes = tuple(f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0)
     return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
+
+
+def is_without_background(unit: str, stated: bool | None) -> bool:
+    """Whether the background was taken off traces: as stated, or (None) unless they are in ADU, as recorded."""
+    return unit != "adu" if stated is None else stated
 
 
 def to_photoelectrons(

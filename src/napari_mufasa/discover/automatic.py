@@ -65,7 +65,7 @@ def diagnose_traces(
     *,
     unit: str = "photoelectrons",
     profile: str = "psf",
-    background_subtracted: bool = True,
+    background_subtracted: bool | None = None,
     pixel_share: float | None = None,
     effects: Sequence[str] | None = None,
     max_effects: int | None = None,

@@ -150,7 +150,7 @@ class TraceInvestigation(Investigation):
         *,
         unit: str = "photoelectrons",
         profile: str = "psf",
-        background_subtracted: bool = True,
+        background_subtracted: bool | None = None,
         pixel_share: float | None = None,
         seed: int = 1,
         effects: Sequence[str] | None = None,

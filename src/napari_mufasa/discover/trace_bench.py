@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.compare.comparison import to_photoelectrons
+from napari_mufasa.compare.comparison import is_without_background, to_photoelectrons
 from napari_mufasa.compare.fit import background_level_e, fit_gain
 from napari_mufasa.compare.simulated import FarApart
 from napari_mufasa.compare.wasserstein import floor, wasserstein
@@ -91,7 +91,7 @@ class TraceBench(Bench[TraceNumbers]):
         model: Model,
         unit: str = "photoelectrons",
         profile: str = "psf",
-        background_subtracted: bool = True,
+        background_subtracted: bool | None = None,
         pixel_share: float | None = None,
         *,
         seed: int = 1,
@@ -99,13 +99,14 @@ class TraceBench(Bench[TraceNumbers]):
         cancel: Callable[[], bool] | None = None,
         client: Client | None = None,
     ) -> None:
-        electrons = to_photoelectrons(traces, model, unit)
+        background_subtracted = is_without_background(unit, background_subtracted)
+        electrons = to_photoelectrons(traces, model, unit, background_subtracted=background_subtracted)
         if len(electrons) < LEAST_MOLECULES or electrons.shape[1] < LEAST_FRAMES:
             raise MufasaError(
                 f"{electrons.shape[0]} traces of {electrons.shape[1]} frames: needs at least {LEAST_MOLECULES} traces "
                 f"of {LEAST_FRAMES} frames to fit on some and judge on others; use compare"
             )
-        if unit == "adu":  # a photoelectron is worth what the noise of the traces says
+        if unit == "adu" and not background_subtracted:  # a photoelectron is worth what the noise of the traces says
             model, gain = fit_gain(np.asarray(traces), model)
             electrons = electrons / gain
         electrons, notes = _affordable(electrons)

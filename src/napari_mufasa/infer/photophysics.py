@@ -57,7 +57,7 @@ def infer_photophysics(
     *,
     unit: str = "photoelectrons",
     pixel_share: float | None = None,
-    background_subtracted: bool = True,
+    background_subtracted: bool | None = None,
     all_molecules: bool = False,
     progress: Callable[[int, int], None] | None = None,
     cancel: Callable[[], bool] | None = None,
@@ -72,7 +72,8 @@ def infer_photophysics(
     model : timing, dye, light, collection and camera believed; only photons per frame and rates show in traces
     unit : "photoelectrons", "photons" or "adu"
     pixel_share : share of a molecule's light that a trace holds; None: all, or as extracted
-    background_subtracted : of traces in ADU, whether the baseline was taken off with the background
+    background_subtracted : of traces in ADU, whether the baseline was taken off with the background; None: as
+        recorded, with it
     all_molecules : whether molecules that never shone are among the traces (their places were known)
     progress, cancel : see `simulate`
 
@@ -80,7 +81,7 @@ def infer_photophysics(
     ------
     MufasaError : fewer than 5 traces, too few frames, traces without light or without noise.
     """
-    from napari_mufasa.compare.comparison import to_photoelectrons
+    from napari_mufasa.compare.comparison import is_without_background, to_photoelectrons
     from napari_mufasa.traces.dynamics import dynamics
     from napari_mufasa.traces.extract import TraceSet
 
@@ -88,8 +89,8 @@ def infer_photophysics(
     if isinstance(traces, TraceSet):
         pixel_share = traces.pixel_share if pixel_share is None else pixel_share
         traces = traces.all_traces[traces.kept]
-    electrons = to_photoelectrons(traces, model, unit, background_subtracted=background_subtracted)
-    electrons = electrons / (pixel_share or 1.0)
+    without = is_without_background(unit, background_subtracted)
+    electrons = to_photoelectrons(traces, model, unit, background_subtracted=without) / (pixel_share or 1.0)
     if len(electrons) < LEAST_MOLECULES:
         raise MufasaError(f"{len(electrons)} traces are too few to infer rates from: give {LEAST_MOLECULES} or more")
     if electrons.shape[1] < 10:
