@@ -8,6 +8,7 @@ import pytest
 
 from napari_mufasa.compare.quick import quick_distance
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.traces import Options, extract_traces
 from napari_mufasa.widgets.steps.calibrate import CameraPanel
 from napari_mufasa.widgets.steps.compare import ComparePanel
 from napari_mufasa.widgets.steps.denoise import DenoisePanel
@@ -319,6 +320,15 @@ def test_molecules_that_are_followed_are_shown_as_tracks(with_movie, open_panel,
     assert "diffusion_px2_per_frame" in with_movie.layers[-1].features
     with pytest.raises(MufasaError, match="without following"):  # what the live distance says
         quick_distance(panel.traces, session_of(with_movie).model)
+
+
+@pytest.mark.parametrize("chosen", [{"window": 30}, {"best": 5}])
+def test_the_live_distance_is_that_of_whole_traces_of_all(bright_model, bright_movie, chosen):
+    """Windows of long-lived molecules, set against whole traces of all, are far from the right model."""
+    options = Options(psf_sigma_px=bright_model.sigma_px, **chosen)
+    measured = extract_traces(bright_movie.movie, bright_model.camera, options=options)
+    with pytest.raises(MufasaError, match="without window and best"):
+        quick_distance(measured, bright_model)
 
 
 def test_what_the_file_says_of_the_instrument_is_shown_and_believed_on_a_click(viewer, open_panel, tmp_path, qtbot):

@@ -187,7 +187,7 @@ def compare_traces(
     background_subtracted : whether the local background was taken off the traces (in ADU: the baseline, too); None:
         yes, but for ADU, which are taken as recorded
     window, best : cut measured and simulated traces alike to the `window` frames before bleaching in which
-        they are active, and keep the `best` of them
+        they are active; of the measured ones keep the `best`, which a model's molecules are not where they differ
     n_simulated : simulated molecules (None: as many as measured, at least 200)
     sofi_times, progress, cancel : as for `compare_movie`
 

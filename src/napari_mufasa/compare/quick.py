@@ -54,7 +54,8 @@ def quick_distance(
 ) -> QuickDistance:  # fmt: skip
     """The distance of `model` from `measured`; `known` from an earlier distance to the same measurement.
 
-    Raises `MufasaError` when no molecule was kept, or where molecules were followed.
+    Raises `MufasaError` when no molecule was kept, or where molecules were followed, cut to windows, or chosen as the
+    best of them: a model's molecules are whole traces of all that shine.
     """
     from napari_mufasa import compare
     from napari_mufasa.errors import MufasaError
@@ -62,6 +63,10 @@ def quick_distance(
     if measured.options.follow_molecules:
         raise MufasaError(
             "a model's molecules are read in their places: extract traces without following each molecule"
+        )
+    if measured.options.window is not None or measured.options.best is not None:
+        raise MufasaError(
+            "a model's molecules are whole traces of all that shine: extract traces without window and best, or compare"
         )
     traces = measured.traces
     if not len(traces):
