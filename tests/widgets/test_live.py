@@ -88,7 +88,7 @@ def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot
     for watts in ("22", "26", "34"):  # typed faster than anything can be worked out
         power.setText(watts)
         power.editingFinished.emit()
-    live.changed.connect(lambda: seen.append(live.distance.w1))
+    live.changed.connect(lambda: seen.append(live.distance and live.distance.w1))
     settle(live, qtbot)
     assert session.model.excitation.power_density_w_per_cm2 == 34
     assert live.distance.w1 == quick_distance(session.traces, session.model).w1  # of the last value typed
@@ -107,6 +107,9 @@ def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot
     assert set(compare.live.data.columns) == {"signal per frame (photoelectrons)", "measured", "mufasa"}
     assert np.allclose(compare.live.data["measured"].sum(), compare.live.data["mufasa"].sum(), rtol=0.05)
     qtbot.waitUntil(lambda: not compare.live.busy and not compare.live.picture.pixmap().isNull(), timeout=20_000)
+    # of another movie there are no traces yet
+    session.set_movie(add_movie(viewer, bright_movie.movie, "other", movie_space(100.0), bright_model))
+    assert live.distance is None and "extract traces" in compare.live_line.text() and compare.live.data is None
 
 
 def test_thinned_traces_are_few_and_tell_nearly_the_same_distance():

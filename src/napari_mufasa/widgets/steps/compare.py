@@ -18,7 +18,7 @@ from napari_mufasa.widgets.parts.parameters import Believed, Dark, DarkFrames, M
 from napari_mufasa.widgets.parts.pieces import Tabs, Words, button, column
 from napari_mufasa.widgets.parts.plot import PlotCanvas
 from napari_mufasa.widgets.steps.traces import molecules_on
-from napari_mufasa.widgets.turns.live import LiveLine, live_of
+from napari_mufasa.widgets.turns.live import NOT_YET, LiveLine, live_of
 from napari_mufasa.widgets.turns.session import believed
 from napari_mufasa.widgets.turns.steering import steering
 
@@ -122,6 +122,8 @@ class ComparePanel(Panel):
         """The signal of measured traces and of the model now, with their distance."""
         live = live_of(self.session)
         distance = live.distance
+        if self.session.traces is None:
+            self.live.clear(NOT_YET)
         if distance is None or live.busy:
             return
         _draw(self.live, distance.distribution, {"mufasa": distance.w1})

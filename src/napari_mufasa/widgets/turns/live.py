@@ -59,8 +59,9 @@ class LiveDistance(WhenSeen):
         self.changed.emit()
 
     def _on_traces(self) -> None:
-        self._known = None
+        self._known = self.distance = None
         self.renew()
+        self.changed.emit()
 
     def _on_arrived(self, outcome: Any) -> None:
         self.problem = "" if outcome.error is None else str(outcome.error)

@@ -48,7 +48,7 @@ class Session(QObject):
         self.model_chosen = False  # whether anyone said which model is believed
         self._layers: WeakValueDictionary[str, Image] = WeakValueDictionary()
         self.dark_frames = 0
-        self.traces: TraceSet | None = None  # the last ones read of a movie
+        self.traces: TraceSet | None = None  # the last ones read of the movie
         self.channels: Any = None  # `Channels`, where two were registered
 
     @property
@@ -109,6 +109,8 @@ class Session(QObject):
         elif layer is not None and dark is not None and dark.data.shape[-2:] != layer.data.shape[-2:]:
             self._keep("dark", None)  # another movie's
         self.movie_changed.emit()
+        if self.traces is not None and layer is not None:  # they are another movie's, too
+            self.set_traces(None)
 
     def set_dark(self, layer: Image | None) -> None:
         self._keep("dark", layer)
@@ -122,7 +124,7 @@ class Session(QObject):
         """Movie and dark frames as chosen; raises `MufasaError` that says what to choose."""
         return measurement_of(self.movie_layer, self.dark_layer, self.dark_frames)
 
-    def set_traces(self, traces: TraceSet) -> None:
+    def set_traces(self, traces: TraceSet | None) -> None:
         self.traces = traces
         self.traces_changed.emit()
 
