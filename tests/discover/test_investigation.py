@@ -325,8 +325,17 @@ def test_what_is_worth_little_of_what_moves_the_same_may_stand_in_for_it(content
 def _two_effects(moves, worths, content=False, at_floor=False, rivals=()):
     state = SimpleNamespace(spread=np.ones((1, 3)), at_floor=lambda x: at_floor, floor=1.0)
     return SimpleNamespace(
-        content=content, worths=worths, moved_by=moves.get, state=state, x=None, rivals_added=lambda kind: rivals
-    )
+        content=content, worths=worths, moved_by=moves.get, state=state, x=None, rivals_added=lambda kind: rivals,
+        added=tuple(worths),
+    )  # fmt: skip
+
+
+def test_what_stands_alone_makes_up_for_no_other_however_near_the_floor_the_model_is_without_it():
+    moves = {kind: np.array([[9.0, 9.0, 0.0]]) for kind in ("astigmatism", "focus_drift")}
+    near = Worth(150.0, 1.2, 20.0)
+    assert not Stand.may_stand_in(_two_effects(moves, {"astigmatism": near}, at_floor=True), "astigmatism")
+    both = {"astigmatism": near, "focus_drift": Worth(500.0, 3.0, 20.0)}
+    assert Stand.may_stand_in(_two_effects(moves, both, at_floor=True), "astigmatism")
 
 
 def test_of_two_that_are_known_to_look_alike_the_lesser_may_stand_in_for_the_other():

@@ -250,7 +250,9 @@ class Stand:
         """Is an effect worth so little of another that it may make up for where the values of that one have come to:
         of a known rival in the model; while misfit is left, of one that moves the same, and ever of one that takes back
         much of what it does? And, at the floor, is the model so near it without the effect that the values of the
-        others may do?"""
+        others may do? Where there are no others, what it is worth is known: by the model believed."""
+        if len(self.added) == 1:
+            return False
         if self.state.at_floor(self.x) and self.worths[kind].error_without < FAR * self.state.floor:
             return True
         worth, moved, spread = self.worths[kind].evidence, self.moved_by(kind), self.state.spread
