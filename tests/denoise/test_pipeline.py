@@ -11,6 +11,7 @@ import napari_mufasa as nm
 from napari_mufasa import camera as cam
 from napari_mufasa.denoise import pure_let_movie, reel, temporal
 from napari_mufasa.denoise.pipeline import read_variance
+from napari_mufasa.denoise.viewing import taken_away
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model.setup import Camera
 
@@ -193,10 +194,21 @@ def test_bad_input_is_told_in_one_line(movie, options, message):
     assert "\n" not in str(caught.value)
 
 
-def test_maps_of_another_shape_are_refused():
-    camera = CMOS.model_copy(update={"gain_map": np.ones((4, 4))})
-    with pytest.raises(MufasaError, match="gain_map"):
-        nm.denoise(np.zeros((2, 8, 8)), camera)
+@pytest.mark.parametrize("name", ["gain_map", "offset_map_adu", "variance_map_e2"])
+@pytest.mark.parametrize("method", ["pure-let-movie", "none"])
+def test_maps_of_another_shape_are_refused(name, method):
+    camera = CMOS.model_copy(update={name: np.ones((4, 4))})
+    with pytest.raises(MufasaError, match=name):
+        nm.denoise(np.full((2, 8, 8), 120.0), camera, method=method)
+
+
+def test_what_was_taken_away_knows_that_the_baseline_alternates():
+    """Frames alternate by ± 30 ADU = ± 18.75 photons; without noise of the photons what is taken away has mean 0."""
+    camera = CCD.model_copy(update={"baseline_alternation_adu": 30.0})
+    movie = np.full((4, 8, 8), 150, np.uint16) + np.array([30, -30, 30, -30], np.int16)[:, None, None]
+    photons = nm.denoise(movie, camera, method="none")
+    assert photons == pytest.approx(photons.mean(), abs=1e-4)
+    assert np.asarray(taken_away(movie, camera, photons)) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_pure_let_movie_beats_single_frames():

@@ -233,7 +233,7 @@ def _gain(camera: Camera) -> Any:
 
 
 def _check_maps(movie: NDArray[Any], camera: Camera) -> None:
-    for name in ("offset_map_adu", "gain_map"):
+    for name in ("offset_map_adu", "gain_map", "variance_map_e2"):
         value = getattr(camera, name)
         if value is not None and tuple(movie.shape[-2:]) != value.shape:
             raise MufasaError(

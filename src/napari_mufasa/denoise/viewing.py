@@ -44,7 +44,8 @@ def taken_away(movie: Any, camera: Any, photons: Any) -> Any:
     one_frame = (1, *photons.shape[1:])
     counts, after = da.asarray(movie).rechunk(one_frame), da.asarray(photons).rechunk(one_frame)
 
-    def difference(recorded: Any, denoised: Any) -> Any:
-        return np.asarray(cam.photons(cam.photoelectrons(recorded, camera), camera) - denoised, np.float32)
+    def difference(recorded: Any, denoised: Any, block_id: tuple[int, ...]) -> Any:
+        electrons = cam.photoelectrons(recorded, camera, block_id[0])  # of its own number: baselines may alternate
+        return np.asarray(cam.photons(electrons, camera) - denoised, np.float32)
 
     return da.map_blocks(difference, counts, after, dtype=np.float32)
