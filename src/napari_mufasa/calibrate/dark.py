@@ -17,6 +17,7 @@ from napari_mufasa.errors import MufasaError
 
 TAIL_SD = 5.0
 LEAST_FRAMES = 5  # for what needs each pixel's own mean
+MEDIAN_ERROR = 1.17  # standard error of a normal sd that is told by the median, times √n over the sd
 SURE = 3.5  # standard errors from which on an alternation is believed
 GOOD = 0.01  # p-value of a normal law from which on no tail is looked for
 MOST_CHARGE_E = 0.5  # spurious electrons per pixel and frame above which they are no separate tail
@@ -121,7 +122,7 @@ def measure_dark(
     from scipy import stats
 
     reach = float(stats.t.ppf(0.975, n - 1)) / NORMAL
-    centre = float(per_frame.mean()) + 0.5 - electrons
+    centre = float(own.mean()) + 0.5 - electrons
     baseline = Value(centre, float(doubt), centre - NORMAL * reach * doubt, centre + NORMAL * reach * doubt)
     core = max(read.value, 0.5)
     tail = float(np.mean(flat[:, mask] - np.median(flat[:, mask]) > TAIL_SD * core))
@@ -142,15 +143,26 @@ def _stray(fit: Fit, baseline: Value) -> Stray:
 
 
 def _few(values: NDArray[np.float64], per_frame: NDArray[np.float64], mean_map: NDArray[np.float64]) -> Dark:
-    """One frame to four: the spread over pixels stands for the read noise, the pattern included."""
-    about = values - per_frame[:, None]
+    """One frame to four: the spread of a pixel between frames, of one frame that over pixels, their pattern included.
+
+    The median of whole counts is whole: they are spread evenly over their codes (rms 1/√12) for it.
+    """
+    n = len(values)
+    spread = values + np.random.default_rng(0).uniform(-0.5, 0.5, values.shape)
+    about = spread - per_frame[:, None]
+    if n > 1:
+        about = (about - about.mean(axis=0)) * np.sqrt(n / (n - 1))
     sd = 1.4826 * float(np.median(np.abs(about)))
     share = float(np.mean(about > TAIL_SD * max(sd, 0.5)))
     centre = float(per_frame.mean()) + 0.5
-    doubt = float(np.hypot(sd / np.sqrt(values.size), per_frame.std() / np.sqrt(len(per_frame))))
-    read = Value(sd, sd / np.sqrt(values.size))
+    doubt = float(np.hypot(sd / np.sqrt(values.size), per_frame.std() / np.sqrt(n)))
+    error = MEDIAN_ERROR * sd / np.sqrt(values.size * (n - 1) / n if n > 1 else values.size)
+    variance = max(sd**2 - 1 / 12, 0.0)  # rounding included
+    read = max(variance - 1 / 12, 0.0) ** 0.5
+    low, high = (max((sd + way * NORMAL * error) ** 2 - 1 / 6, 0.0) ** 0.5 for way in (-1, 1))
     return Dark(
-        Value(centre, doubt), read, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, share, sd**2, None, None, mean_map, None
+        Value(centre, doubt), Value(read, (high - low) / (2 * NORMAL), low, high), UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN,
+        share, variance, None, None, mean_map, None,
     )  # fmt: skip
 
 

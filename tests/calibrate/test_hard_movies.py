@@ -1,0 +1,58 @@
+"""Movies that mislead a measurement of the camera: its numbers and their intervals must hold all the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from napari_mufasa.calibrate.dark import measure_dark
+
+SPOT = np.exp(-((np.arange(11) - 5.0)[:, None] ** 2 + (np.arange(11) - 5.0) ** 2) / (2 * 1.3**2))
+
+
+def ccd(electrons, rng, read_noise_e=4.0, electrons_per_adu=1.0, adc_max=65535):
+    """Counts with a baseline of 100, by docs/camera.md, written here anew."""
+    read = rng.poisson(electrons) + rng.normal(0, read_noise_e, np.shape(electrons))
+    return np.clip(np.floor(read / electrons_per_adu) + 100, 0, adc_max).astype(np.uint16)
+
+
+def emccd(electrons, rng, read_noise_adu=5.0, adu_per_electron=25.0):
+    made = adu_per_electron * rng.standard_gamma(rng.poisson(electrons).astype(float))
+    return np.floor(made + rng.normal(0, read_noise_adu, made.shape) + 100).clip(0, 65535).astype(np.uint16)
+
+
+def spots(side=64, height=60.0):
+    """Twelve of them (y, x), steady."""
+    image = np.zeros((side, side))
+    for k in range(12):
+        y, x = (17 * k) % (side - 11), (29 * k + 5) % (side - 11)
+        image[y : y + 11, x : x + 11] += height * SPOT
+    return image
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 4])
+@pytest.mark.parametrize("read_noise_adu", [1.0, 1.5, 2.5, 4.0])
+def test_the_read_noise_of_a_few_dark_frames_is_not_that_of_whole_counts(n_frames, read_noise_adu):
+    """100 stacks, 95 % intervals: 84 at least hold the truth (binomial: 6e-6 fall below); 6 standard errors of a mean
+    whose terms scatter by 5 % at most."""
+    rng = np.random.default_rng(3)
+    found = [
+        measure_dark(np.floor(rng.normal(100 + rng.uniform(), read_noise_adu, (n_frames, 32, 32))), False).read_noise
+        for _ in range(100)
+    ]
+    assert np.mean([value.value for value in found]) == pytest.approx(read_noise_adu, rel=0.03)
+    assert sum(value.holds(read_noise_adu) for value in found) >= 84
+
+
+def test_few_dark_frames_tell_read_noise_from_pattern():
+    rng = np.random.default_rng(4)
+    dark = np.floor(100 + rng.normal(0, 20, (32, 32)) + rng.normal(0, 3, (2, 32, 32)))
+    assert measure_dark(dark, False).read_noise.value == pytest.approx(3.0, rel=0.2)  # 5 sd of 2048 counts
+
+
+def test_an_alternating_baseline_does_not_move_the_mean_of_an_odd_number_of_dark_frames():
+    rng = np.random.default_rng(5)
+    even = 3 * (1 - 2 * (np.arange(7) % 2))[:, None, None]
+    found = measure_dark(np.floor(rng.normal(100, 3, (7, 64, 64))) + even, False)
+    assert found.alternation.value == pytest.approx(3.0, abs=0.1)
+    assert found.baseline.value == pytest.approx(100.0, abs=5 * 3 / np.sqrt(7 * 64 * 64))
