@@ -63,9 +63,20 @@ def correlations(differences: NDArray[Any], pixels: NDArray[np.bool_] | None, te
     own = np.correlate(weights, weights, "full") / np.sum(weights**2)
     independent = mask.sum() * n_frames / np.sum(own**2)
     row, column = along(2), along(1)
-    # Neighbours that are correlated make the products of their neighbours alike, too.
-    sd = float(np.sqrt((1 + 2 * np.sum(row**2)) / max(independent, 1.0)))
+    # Neighbours that are correlated make the products of their neighbours alike, too; and where light is uneven, few
+    # bright pixels make most of the sum.
+    sd = float(np.sqrt(_unevenness(values, mask) * (1 + 2 * np.sum(row**2)) / max(independent, 1.0)))
     return Correlations(row, column, sd, variance / float(np.sum(weights**2)))
+
+
+def _unevenness(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
+    """Mean of the products of neighbours' variances over the mean variance squared; 1 where pixels are alike."""
+    power = np.mean(np.square(values, dtype=np.float64), axis=0)
+    pairs = mask[:, 1:] & mask[:, :-1]
+    mean = float(power[mask].mean())
+    if not pairs.any() or mean <= 0:
+        return 1.0
+    return max(float(np.mean((power[:, 1:] * power[:, :-1])[pairs])) / mean**2, 1.0)
 
 
 def of_light(lit: Correlations, dark: Correlations | None, read_variance: float) -> Array:

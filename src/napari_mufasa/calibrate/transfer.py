@@ -15,6 +15,7 @@ BINS = 30
 LARGE_PX = 1000  # pixels of a frame whose mean takes no noise of single ones along
 QUIET_PX = 15  # window of the background that spots are told from
 QUIET_SD = 3.0
+LEVELS = 8  # of the background, each with a spread of its own
 RUN = 8  # frames whose mean shows slow changes
 LEAST_RUNS = 5
 COURSE_SD = 4.0
@@ -64,8 +65,12 @@ def quiet_pixels(mean: Array) -> NDArray[np.bool_]:
 
     if min(mean.shape) < 2 * QUIET_PX:
         return np.ones(mean.shape, dtype=bool)
-    above = mean - ndimage.median_filter(mean, QUIET_PX, mode="nearest")
-    spread = 1.4826 * float(np.median(np.abs(above)))
+    level = ndimage.median_filter(mean, QUIET_PX, mode="nearest")
+    above = mean - level
+    # Brighter parts of the field are noisier: what is much in the dark is nothing there.
+    spread = np.empty_like(mean)
+    for members in np.array_split(np.argsort(level, axis=None), LEVELS):
+        spread.flat[members] = 1.4826 * np.median(np.abs(above.flat[members]))
     # A spot is broad: single pixels that stick out by chance or by pattern are no spots.
     spots = ndimage.uniform_filter(above, 3) > QUIET_SD / 2 * spread
     return np.asarray(~ndimage.binary_dilation(spots, iterations=2))
