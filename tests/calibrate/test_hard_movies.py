@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_mufasa.calibrate import rows
+from napari_mufasa.calibrate import calibrate, rows
+from napari_mufasa.calibrate.codes import code_widths
 from napari_mufasa.calibrate.dark import measure_dark
+from napari_mufasa.calibrate.sample import leading_dark_frames
 
 SPOT = np.exp(-((np.arange(11) - 5.0)[:, None] ** 2 + (np.arange(11) - 5.0) ** 2) / (2 * 1.3**2))
 
@@ -29,6 +31,25 @@ def spots(side=64, height=60.0):
         y, x = (17 * k) % (side - 11), (29 * k + 5) % (side - 11)
         image[y : y + 11, x : x + 11] += height * SPOT
     return image
+
+
+def test_bright_spots_over_an_even_background_are_no_uneven_codes():
+    rng = np.random.default_rng(1)
+    movie = ccd(np.broadcast_to(20 + spots(height=1500.0), (60, 64, 64)), rng, electrons_per_adu=2.0)
+    assert np.std(movie) > 32  # the counts do reach over a period
+    found = calibrate(movie, ccd(np.zeros((40, 64, 64)), rng, electrons_per_adu=2.0), camera_type="CCD")
+    assert found.camera.code_widths == ()
+
+
+def test_a_peak_of_empty_pixels_is_no_uneven_code_and_uneven_codes_are_seen():
+    rng = np.random.default_rng(2)
+    assert code_widths([emccd(np.full((100, 32, 32), 0.5), rng)]) == ()
+    widths = 1 + 0.1 * rng.standard_normal(32)
+    ends = np.cumsum(widths * 32 / widths.sum())
+    level = rng.normal(3000, 60, (400, 1000))
+    counts = 32 * np.floor(level / 32) + np.searchsorted(ends, level % 32)
+    # 12500 counts in a code: 0.9 % each, 4.5 standard errors (2e-4 in all).
+    np.testing.assert_allclose(code_widths([counts]), widths * 32 / widths.sum(), rtol=0.042)
 
 
 @pytest.mark.parametrize("n_frames", [1, 2, 4])
@@ -57,6 +78,47 @@ def test_an_alternating_baseline_does_not_move_the_mean_of_an_odd_number_of_dark
     found = measure_dark(np.floor(rng.normal(100, 3, (7, 64, 64))) + even, False)
     assert found.alternation.value == pytest.approx(3.0, abs=0.1)
     assert found.baseline.value == pytest.approx(100.0, abs=5 * 3 / np.sqrt(7 * 64 * 64))
+
+
+@pytest.mark.parametrize("adc_max", [800, 1000])
+def test_saturated_pixels_do_not_flatten_the_line_of_variance(adc_max):
+    rng = np.random.default_rng(6)
+    light = np.broadcast_to(np.linspace(90, 2250, 64), (60, 64, 64))
+    dark = ccd(np.zeros((40, 64, 64)), rng, electrons_per_adu=2.0)
+    found = calibrate(ccd(light, rng, 4.0, 2.0, adc_max), dark, camera_type="CCD")
+    assert found.saturation_adu == found.camera.adc_max == adc_max
+    assert abs(found.adu_per_photoelectron.value - 0.5) < 5 * found.adu_per_photoelectron.sd < 0.05
+    assert any("left out" in note for note in found.notes)
+
+
+def test_a_stuck_pixel_is_no_end_of_the_converter():
+    rng = np.random.default_rng(7)
+    movie = ccd(np.full((60, 64, 64), 40.0), rng)
+    movie[:, 30, 30] = 3000
+    found = calibrate(movie, ccd(np.zeros((40, 64, 64)), rng), camera_type="CCD")
+    assert found.saturation_adu is None and found.camera.adc_max == 65535
+
+
+def test_frames_of_less_light_are_not_dark_ones():
+    rng = np.random.default_rng(8)
+    image = 10 + spots()
+    light = np.concatenate([np.broadcast_to(0.5 * image, (40, 64, 64)), np.broadcast_to(2 * image, (80, 64, 64))])
+    movie = ccd(light, rng)
+    assert leading_dark_frames(movie) == 40
+    found = calibrate(movie, camera_type="CCD")
+    assert any("not taken for dark frames" in note for note in found.notes)
+    assert found.baseline_adu.holds(100.0) and found.adu_per_photoelectron.holds(1.0)
+
+
+@pytest.mark.parametrize(("dim_e", "is_shadow"), [(0.0, True), (5.0, False)])
+def test_a_dim_half_of_the_chip_is_not_taken_for_a_dark_one(dim_e, is_shadow):
+    light = np.full((60, 96, 96), dim_e)
+    light[:, :, 48:] = 60.0
+    found = calibrate(emccd(light, np.random.default_rng(9)))
+    assert any("lie in shadow" in note for note in found.notes) == is_shadow
+    assert found.readout.kernel == ()
+    assert abs(found.baseline_adu.value - 100) < 4 * found.baseline_adu.sd
+    assert abs(found.adu_per_photoelectron.value - 25) < 4 * found.adu_per_photoelectron.sd < 4.0
 
 
 def test_uneven_light_makes_no_correlation_of_neighbours():

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa import checks
 from napari_mufasa.calibrate import histogram, rows, transfer, unlit
-from napari_mufasa.calibrate.codes import code_widths, saturation_adu
+from napari_mufasa.calibrate.codes import code_widths, saturated_pixels, saturation_adu
 from napari_mufasa.calibrate.dark import Dark, checked_dark, measure_dark
 from napari_mufasa.calibrate.found import Calibration, Readout
 from napari_mufasa.calibrate.histogram import Fit
@@ -28,6 +28,7 @@ from napari_mufasa.calibrate.law import Law
 from napari_mufasa.calibrate.light import Light
 from napari_mufasa.calibrate.sample import leading_dark_frames, lit_chunks, shadow
 from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
+from napari_mufasa.camera.darkness import FRAMES as LOOKED_AT
 from napari_mufasa.camera.darkness import light_in_dark
 from napari_mufasa.errors import MufasaError
 
@@ -37,6 +38,8 @@ LARGEST_MISFIT = 0.006  # share of counts elsewhere than the law says, above whi
 REJECTED = 0.006  # p-value below which a histogram is not believed: three tests at 2 %
 COARSE_ADU = 0.5  # read noise below which dark counts tell level and variance only as the baseline lies between them
 COARSE_LEVEL_ADU, COARSE_VARIANCE = 0.2, 0.1  # whole counts: rms errors of both, by rounding a noise of 0.2 ADU
+MOST_UNSURE = 1.0  # of the light's variance, that of a read noise anywhere in its interval: no conversion is told then
+LEAST_UNSATURATED = 0.02  # share of the pixels that must be free of saturation for the others to be left out
 WIDE_PX = 32  # frames from which on the first columns can be spared
 DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
 
@@ -103,8 +106,13 @@ def calibrate(
     first = 0
     if dark is None and baseline_adu is None:
         first = leading_dark_frames(movie)
-        if first:
-            dark = np.asarray(movie[:first])
+        dark = np.asarray(movie[:first]) if first else None
+        if first and light_in_dark(_spread(movie, first), dark):
+            notes.append(
+                f"frames 0 to {first - 1} are darker, but show what the others show: not taken for dark frames"
+            )
+            first, dark = 0, None
+        elif first:
             notes.append(f"frames 0 to {first - 1} are dark and were used as dark frames")
     chunks = lit_chunks(movie, first, progress, cancel)
     lit = np.ones(shape[1:], dtype=bool)
@@ -123,6 +131,9 @@ def calibrate(
     if shaded is not None:
         lit &= ~shaded
         notes.append(f"{100 * shaded.mean():.0f} % of the pixels lie in shadow and were used in place of dark frames")
+    full = saturation_adu([chunk[:, lit] for chunk in chunks])
+    if full is not None:
+        notes.append(f"counts pile up at {full:g} ADU: the movie is saturated there; {_spared(chunks, lit, full)}")
     seen = Light(chunks, lit, shape[0] - first)
     if seen_dark is not None and frames is not None and (seen_dark.charge.value > 0 or seen_dark.stray):
         # What an electron looks like in the dark depends on the kernel, which the light tells.
@@ -139,9 +150,7 @@ def calibrate(
     )  # fmt: skip
     if register and (told := doubt(found)) is not None:
         notes.insert(0, told)
-    full = saturation_adu(stacks)
     if full is not None:
-        notes.append(f"counts pile up at {full:g} ADU: the movie is saturated there")
         camera = camera.model_copy(update={"adc_max": min(int(full), camera.adc_max)})
     return replace(found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full)
 
@@ -164,9 +173,26 @@ def check_given(
         raise MufasaError(f"em_gain = {em_gain:g}: a {camera_type} does not multiply; drop it, or choose EMCCD")
 
 
+def _spread(movie: Any, first: int) -> NDArray[Any]:
+    """Some frames (frame, y, x) of those from `first` on."""
+    chosen = np.linspace(first, movie.shape[0] - 1, LOOKED_AT).astype(int)
+    return np.stack([np.asarray(movie[int(t)]) for t in chosen])
+
+
+def _spared(chunks: list[NDArray[np.float32]], lit: NDArray[np.bool_], full: float) -> str:
+    """Take the pixels that reach `full` out of `lit` (y, x), in place, as long as enough are left; words for it."""
+    kept = lit & ~saturated_pixels(chunks, full)
+    if kept.sum() <= max(9, LEAST_UNSATURATED * lit.sum()):
+        return "hardly a pixel is free of it, so that ADU per photoelectron cannot be right: record with less light"
+    words = f"{100 * (1 - kept.sum() / lit.sum()):.2g} % of the pixels come near it and were left out"
+    lit &= kept
+    return words
+
+
 def _is_dark(shaded: Dark) -> bool:
-    """Whether a part of the chip is dark, not just dim and even: single electrons would show."""
-    return shaded.fit is not None and not shaded.charge.value > DARK_CHARGE_E
+    """Whether a part of the chip is dark, not just dim and even: electrons would show, one by one or as stray ones."""
+    electrons = shaded.charge if shaded.stray is None else shaded.stray.electrons
+    return shaded.fit is not None and not electrons.value > DARK_CHARGE_E
 
 
 def _weights(kernel: tuple[float, ...]) -> tuple[float, ...]:
