@@ -84,12 +84,13 @@ def calibrate(
         an EMCCD) and the other follows
     excess_noise_factor : F² of the multiplication; None: 2 for an EMCCD, 1 else
     readout_kernel, clock_induced_charge_e : taken so instead of measured; () and 0: none, () of the read noise, too
-    baseline_adu, read_noise_adu : known values, instead of dark frames
+    baseline_adu, read_noise_adu : known values, instead of dark frames; with the baseline alone the read noise is what
+        the histogram shows
 
     Raises
     ------
     MufasaError : too few frames; a movie no brighter than the dark; an EM gain of a camera that has none; no dark
-        frames and too little range of light for a line.
+        frames and too little range of light for a line, or a baseline alone that leaves the read noise open.
     """
     movie = checks.stack(movie)
     shape = tuple(movie.shape)
@@ -211,10 +212,15 @@ def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, 
     law = Law(1.0, factor, 0.0, 0.0, _weights(kernel))
     fits: list[Fit] = [dark.fit] if dark is not None and dark.fit is not None else []
     known = dark is not None or assumed.baseline_adu is not None
+    seen = histogram.of_light(light.chunks, light.quiet)
     if known:
         base, level = _base(dark, assumed)
+        _check_brighter(light, level, base.sd)
+        if dark is None and assumed.read_noise_adu is None:
+            read = _read_noise_above(light, seen, law, level, notes)
+            dark_variance = read.value**2 + 1 / 12
         slope, curve = _slope(light, level, base.sd, dark_variance, read, correction, doubt)
-        if read.value < COARSE_ADU:
+        if dark is not None and read.value < COARSE_ADU:
             notes.append(
                 f"the read noise is below {COARSE_ADU:g} ADU: whole counts hide how dark frames scatter, and the "
                 "interval of ADU per photoelectron is wider for it; fewer electrons per ADU would tell more"
@@ -230,7 +236,6 @@ def _measured(light: Light, dark: Dark | None, assumed: Assumed, factor: float, 
         slope = transfer.mean_of(list(slopes * correction), float(np.hypot(doubt, left)), light.counts_each)
         base, curve = UNKNOWN, (np.empty(0), np.empty(0))
     law = replace(law, adu_per_electron=slope.value / factor)
-    seen = histogram.of_light(light.chunks, light.quiet)
     excess = UNKNOWN
     per_electron = slope.over(factor)
     if known and seen is not None:
@@ -366,6 +371,15 @@ def _base(dark: Dark | None, assumed: Assumed) -> tuple[Value, float]:
     return dark.baseline, float(dark.mean_map.mean()) if dark.fit is None else dark.level
 
 
+def _check_brighter(light: Light, level: float, level_sd: float) -> None:
+    signal = float(np.mean(light.means)) - level
+    if signal <= NORMAL * float(np.nan_to_num(level_sd)):
+        raise MufasaError(
+            f"the movie is no brighter than the dark ({signal + level:.6g} and {level:.6g} ADU): give frames without "
+            "light as dark frames, and a movie under light"
+        )
+
+
 def _slope(
     light: Light, level: float, level_sd: float, dark_variance: float, read: Value, correction: float, doubt: float
 ) -> tuple[Value, tuple[Array, Array]]:
@@ -374,14 +388,11 @@ def _slope(
         for m, v in zip(light.means, light.variances, strict=True)
     ]
     signal = float(np.mean(light.means)) - level
-    if signal <= NORMAL * float(np.nan_to_num(level_sd)):
-        raise MufasaError(
-            f"the movie is no brighter than the dark ({signal + level:.6g} and {level:.6g} ADU): give frames without "
-            "light as dark frames, and a movie under light"
-        )
     shared = float(np.nan_to_num(level_sd)) / max(abs(signal), 1e-9)
     grown = max(float(np.mean(light.variances)) - dark_variance, 1e-9)
-    shared = float(np.hypot(shared, 2 * read.value * float(np.nan_to_num(read.sd)) / grown))
+    low, high = (float(np.nan_to_num(end, nan=read.value)) for end in read.interval)
+    unsure = max(high**2 - read.value**2, read.value**2 - max(low, 0.0) ** 2) / NORMAL
+    shared = float(np.hypot(shared, unsure / grown))
     if read.value < COARSE_ADU:
         shared = float(np.hypot(shared, np.hypot(COARSE_LEVEL_ADU / max(abs(signal), 1e-9), COARSE_VARIANCE / grown)))
     slope = transfer.mean_of(slopes, float(np.hypot(shared, doubt)), light.counts_each)
@@ -405,14 +416,42 @@ def _without_dark(
         read, fit = Value(assumed.read_noise_adu or 0.0, float("nan")), None
         highest = read.value
     else:
-        # The variance of the darkest pixels is the most that the read noise can have.
-        most = float(np.sqrt(np.percentile(light.variances.mean(axis=0), 1)))
-        read, level, fit = unlit.read_noise(seen, law, zero, raw_slope, most)
+        read, level, fit = unlit.read_noise(seen, law, zero, raw_slope, _most_read_noise(light))
         highest = read.interval[1]
         notes.append("read noise from the histogram of the darkest pixels: dark frames would be far more certain")
     low, high = zero[0] + 0.5 - NORMAL * error, zero[0] + 0.5 + highest**2 / raw_slope + NORMAL * error
     base = min(max(level + 0.5 + read.value**2 / raw_slope, low, 0.0), high)
     return Value(base, float((high - low) / (2 * NORMAL)), min(max(low, 0.0), base), max(high, base)), read, fit
+
+
+def _read_noise_above(
+    light: Light, seen: histogram.Histogram | None, law: Law, level: float, notes: list[str]
+) -> Value:
+    """Read noise of a movie without dark frames whose baseline is known: what the histogram of the darkest pixels
+    leaves of it, by its shape and by how its variance grows above `level` (recorded mean without light, ADU).
+
+    Raises `MufasaError` where it leaves too much open."""
+    most, total = _most_read_noise(light), float(light.variances.mean())
+    read = Value(0.0, most / NORMAL, 0.0, most)
+    if seen is not None:
+        signal = float(light.means.mean()) - level
+        start = replace(law, adu_per_electron=total / signal / law.excess_noise_factor)
+        read, _, _ = unlit.read_noise(seen, start, (level, 0.0), np.inf, most)
+    low, high = read.interval
+    if high**2 - low**2 > MOST_UNSURE * max(total - read.value**2, 0.0):
+        raise MufasaError(
+            f"the movie does not tell its light's noise from the read noise, which may be {low:.3g} to {high:.3g} ADU: "
+            "give dark frames, or calibrate's read_noise_adu beside the baseline_adu"
+        )
+    notes.append("read noise from the histogram of the darkest pixels: dark frames would be far more certain")
+    return read
+
+
+def _most_read_noise(light: Light) -> float:
+    """The most read noise (ADU) there can be: all noise of the darkest pixels, and room for what is not known of it. Of
+    many pixels, because each has shown only some of its noise in so few frames."""
+    darkest = transfer.bins_of(light.means.mean(axis=0))[0]
+    return 1.1 * float(np.sqrt(light.variances[:, darkest].mean()))
 
 
 def _row_p_value(light: Light, of_light: Array, dark: Dark | None, dark_variance: float, assumed: Assumed) -> float:

@@ -15,6 +15,7 @@ from napari_mufasa.calibrate.value import NORMAL, Value
 
 Array = NDArray[np.float64]
 TRIED = 14  # read noises, from 2 % of the most there can be up to it, and none
+CLOSER = 5  # more of them about the upper end of the interval
 DARKEST = 4  # groups of pixels, of those of like mean
 
 
@@ -38,13 +39,14 @@ def read_noise(
 
     The interval is that of the likelihood ratio, with the response and the level of no variance (ADU, with its error)
     fitted at every read noise tried: 0 is in it where the data do not tell it from none, and the upper end is what
-    they can hide. `most` : the most that it can have (ADU); `raw_slope` : of variance over mean (ADU).
+    they can hide. `most` : the most that it can have (ADU); `raw_slope` : of variance over mean (ADU), infinite where
+    the baseline is known: `zero` is then half a count below it.
     """
     from scipy import optimize
 
-    two = slice(DARKEST)
+    some = slice(DARKEST)
     darkest = Histogram(
-        seen.level_adu[two], seen.offsets_adu[two], seen.edges[two], seen.seen[two], seen.n_mean, seen.phases[two]
+        seen.level_adu[some], seen.offsets_adu[some], seen.edges[some], seen.seen[some], seen.n_mean, seen.phases[some]
     )
     level, error = zero
     first = histogram.fit(
@@ -79,7 +81,15 @@ def read_noise(
     )
     value, height = (float(closer.x), float(closer.fun)) if closer.fun < heights[best] else (tried[best], heights[best])
     height, point = min(height, heights[best]), least(value)[1]
-    low, high = _ends(tried, heights - height - NORMAL**2 / 2, value, most)
+    # All noise of the darkest pixels is a wall: the likelihood may be level up to it, and values tried lie far apart.
+    for _ in range(CLOSER):
+        beyond = np.flatnonzero((tried > value) & (heights > height + NORMAL**2 / 2))
+        if not len(beyond):
+            break
+        i = int(beyond[0])
+        middle = float(max(tried[i - 1], value) + tried[i]) / 2
+        tried, heights = np.insert(tried, i, middle), np.insert(heights, i, least(middle)[0])
+    low, high = _ends(tried, heights - height, value, most)
     level += error * float(point[1])
     start = replace(
         law, read_noise_adu=max(value, 1e-3), adu_per_electron=law.adu_per_electron * float(np.exp(point[0]))
@@ -88,16 +98,20 @@ def read_noise(
     return Value(float(value), max(high - low, 0.0) / (2 * NORMAL), low, high), level, fit
 
 
-def _ends(tried: Array, above: Array, value: float, most: float) -> tuple[float, float]:
-    """Where the likelihood's fall crosses the bound, on either side of the value."""
-    lower, upper = np.flatnonzero((tried < value) & (above > 0)), np.flatnonzero((tried > value) & (above > 0))
+def _ends(tried: Array, fall: Array, value: float, most: float) -> tuple[float, float]:
+    """Where the likelihood's fall from its top, at `value`, reaches that of the interval's ends, on either side.
+
+    In between it is followed by its root, which is straight where the likelihood is normal: tried values lie far apart.
+    """
+    far = np.sqrt(2 * np.maximum(fall, 0.0))
+    lower, upper = np.flatnonzero((tried < value) & (far > NORMAL)), np.flatnonzero((tried > value) & (far > NORMAL))
     low, high = 0.0, most
     if len(lower):
         i = int(lower[-1])
-        after = (tried[i + 1], above[i + 1]) if tried[i + 1] < value else (value, -(NORMAL**2) / 2)
-        low = float(np.interp(0.0, [-above[i], -after[1]], [tried[i], after[0]]))
+        after = (tried[i + 1], far[i + 1]) if tried[i + 1] < value else (value, 0.0)
+        low = float(np.interp(-NORMAL, [-far[i], -after[1]], [tried[i], after[0]]))
     if len(upper):
         i = int(upper[0])
-        before = (tried[i - 1], above[i - 1]) if tried[i - 1] > value else (value, -(NORMAL**2) / 2)
-        high = float(np.interp(0.0, [before[1], above[i]], [before[0], tried[i]]))
+        before = (tried[i - 1], far[i - 1]) if tried[i - 1] > value else (value, 0.0)
+        high = float(np.interp(NORMAL, [before[1], far[i]], [before[0], tried[i]]))
     return low, high
