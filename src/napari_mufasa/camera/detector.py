@@ -135,12 +135,15 @@ def expose(
 def output_electrons(movie: NDArray[Any], camera: Camera, first_frame: int = 0) -> Stack:
     """Undo step 5: (y + ½ − BL)·e_per_ADU, float32 (docs/camera.md). Negative values are kept on purpose.
 
+    Of whole counts of a converter with `code_widths`, the middle of the code stands for y + ½.
+
     first_frame : the number of the movie's frame that is given first; only an alternating baseline asks for it.
     """
     _check_maps(movie, camera)
     half = np.float32(0.5) - baseline_map_adu(camera)
     mean_e = np.float32(camera.read_noise_mean_e)
-    electrons = (np.asarray(movie, dtype=np.float32) + half) * np.float32(camera.electrons_per_adu) - mean_e
+    signal_adu = np.asarray(movie, dtype=np.float32) + half + readout.code_shifts_adu(movie, camera)
+    electrons = signal_adu * np.float32(camera.electrons_per_adu) - mean_e
     if camera.baseline_alternation_adu and electrons.ndim == 3:
         frames = np.arange(first_frame, first_frame + len(electrons))
         offset_e = camera.electrons_per_adu * readout.frame_offsets_adu(camera, frames)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from napari_mufasa import camera as detector
 from napari_mufasa import checks
 from napari_mufasa.camera.darkness import light_in_dark
+from napari_mufasa.camera.readout import code_shifts_adu
 from napari_mufasa.cluster import in_order
 from napari_mufasa.errors import Cancelled, MufasaError
 
@@ -196,7 +197,8 @@ def with_dark_baseline(camera: Camera, dark: Any, shape_px: tuple[int, ...], uni
         raise MufasaError("dark frames correct the baseline of a movie in ADU; this one is already in " + unit)
     gain = float(camera.em_gain or 1.0)
     charge_adu = (camera.clock_induced_charge_e * gain + camera.read_noise_mean_e) / camera.electrons_per_adu
-    baseline = float(dark.mean(dtype=np.float64)) + 0.5 - charge_adu
+    recorded = float(dark.mean(dtype=np.float64)) + float(np.mean(code_shifts_adu(dark, camera), dtype=np.float64))
+    baseline = recorded + 0.5 - charge_adu
     if camera.offset_map_adu is not None:
         baseline -= float(camera.offset_map_adu.mean())
     return camera.model_copy(update={"baseline_adu": max(baseline, 0.0)})

@@ -31,7 +31,7 @@ def noise_weights(camera: Camera) -> Array:
 def without_readout(camera: Camera) -> Camera:
     """The camera for values that do not stand in rows and frames as they were read out."""
     plain = {"readout_kernel": (), "read_noise_kernel": (), "baseline_alternation_adu": 0.0, "baseline_jitter_adu": 0.0}
-    return camera.model_copy(update=plain)
+    return camera.model_copy(update=plain | {"code_widths": ()})
 
 
 def along_rows(electrons: Stack, weights: Array) -> Stack:
@@ -129,3 +129,22 @@ def code_begins(pattern: Any, unevenness: float | None = None) -> Array:
     begins = np.concatenate([[0.0], np.cumsum(widths)[:-1]])
     result: Array = begins - np.mean(begins - np.arange(len(begins)))
     return result
+
+
+def code_shifts_adu(counts: NDArray[Any], camera: Camera) -> Any:
+    """How far from count + ½ the middle of the signals lies that get this count, in ADU, float32 in the shape of
+    `counts`; 0 of even codes, and of numbers that are no longer whole counts."""
+    if not camera.code_widths or counts.dtype.kind not in "ui":
+        return np.float32(0.0)
+    begins = code_begins(camera.code_widths)
+    ends = np.append(begins[1:], begins[0] + len(begins))
+    shifts = (begins + ends) / 2 - np.arange(len(begins)) - 0.5
+    return shifts.astype(np.float32)[counts % len(begins)]
+
+
+def rounding_variance_adu2(camera: Camera) -> float:
+    """Variance within a code, over all signals: 1/12 of even codes."""
+    if not camera.code_widths:
+        return 1 / 12
+    widths = np.array(camera.code_widths) / np.mean(camera.code_widths)
+    return float(np.mean(widths**3) / 12)

@@ -358,12 +358,12 @@ def part_of(camera: Camera, tile: tuple[slice, ...]) -> Camera:
 
 def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
     """Variance of one frame (y, x) by read noise and by rounding to counts (a²/12 of a converter of a electrons per
-    count), in photoelectrons squared.
+    count, more of uneven codes), in photoelectrons squared.
 
     EMCCD: the register's gain divides it. CMOS: so does the slope of the response, taken at the local mean of 5 x 5
     pixels, because the pixel's own noise would choose its own slope.
     """
-    rounding_e2 = np.float32(camera.electrons_per_adu**2 / 12)
+    rounding_e2 = np.float32(camera.electrons_per_adu**2 * readout.rounding_variance_adu2(camera))
     variance_e2 = np.square(cam.read_noise_map_e(camera))
     if camera.readout_kernel:
         variance_e2 = variance_e2 * np.float32(readout.undone_noise_power(camera))
