@@ -7,6 +7,7 @@ import pytest
 from tests.real_data import real_data
 
 import napari_mufasa as nm
+from napari_mufasa.calibrate import Value
 from napari_mufasa.calibrate.measure import calibrate
 from napari_mufasa.calibrate.sample import leading_dark_frames
 from napari_mufasa.calibrate.series import Exposed, calibrate_gain_series
@@ -15,6 +16,15 @@ from napari_mufasa.calibrate.series import Exposed, calibrate_gain_series
 def movie_and_dark(name, **changes):
     model = nm.preset(name).with_values({"acquisition.n_frames": 100, "acquisition.shape_px": (64, 64), **changes})
     return model, nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=2)
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "told"),
+    [(199.98553, 0.0094, "199.9855 ± 0.0094"), (20.08, 2, "20.1 ± 2.0"), (2048, 30, "2048 ± 30"),
+     (2048, float("nan"), "2048"), (12.25, float("nan"), "12.25")],
+)  # fmt: skip
+def test_a_value_has_the_digits_its_error_allows_and_one_that_was_given_no_error(value, sd, told):
+    assert str(Value(value, sd)) == told
 
 
 def test_emccd_values_come_back():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import floor, isfinite, log10, nan
 
 NORMAL = 1.959964  # of a normal law, 95 % lie within so many sd
 
@@ -44,7 +44,11 @@ class Value:
         return {name: number if isfinite(number) else None for name, number in given.items()}
 
     def __str__(self) -> str:
-        return f"{self.value:.4g} ± {self.sd:.2g}"
+        """As many digits as the error allows; a value that was given has none."""
+        if not isfinite(self.sd) or self.sd <= 0:
+            return f"{self.value:.6g}"
+        digits = min(max(1 - floor(log10(self.sd)), 0), 8)
+        return f"{self.value:.{digits}f} ± {self.sd:.{digits}f}"
 
 
 UNKNOWN = Value(nan, nan)
