@@ -346,3 +346,12 @@ def test_distances_show_one_model_until_an_effect_is_added(added):
     ax = Figure().add_subplot()
     plotting.z_scores(ax, table if added else table.assign(z_after=table.z_before))
     assert len([line for line in ax.lines if line.get_marker() == "o"]) == 1 + added
+
+
+def test_the_distance_that_was_asked_for_is_among_those_shown():
+    table = report().observables
+    least = table.loc[table["z_before"].abs().idxmin()]
+    ax = Figure(figsize=(4, 2)).add_subplot()
+    plotting.z_scores(ax, table, also=least["observable"])
+    assert any(least["title"].lower() in text.get_text().lower() for text in ax.texts)
+    assert len(ax.texts) < len(table)

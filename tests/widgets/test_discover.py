@@ -6,13 +6,15 @@ import dataclasses
 import importlib.util
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from qtpy.QtCore import Qt
 
+from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
-from napari_mufasa.report.words import headline, matching_curve
+from napari_mufasa.report.words import headline, matching_curve, observable_text
 from napari_mufasa.widgets.steps.discover import DiscoverPanel
 from napari_mufasa.widgets.turns.session import session_of
 
@@ -87,6 +89,33 @@ def test_headline_says_when_an_added_effect_did_not_help():
     assert "it is 3.10" in sentence
 
 
+def test_headline_does_not_praise_what_explains_nothing():
+    found = example.report("unexplained")
+    weak = [dataclasses.replace(c, evidence=10.0, error_after=2.92) for c in found.ranking]
+    line, sentence = headline(dataclasses.replace(found, ranking=weak))
+    assert "no effect tried explains it" in line and "blinking comes nearest" in line
+    assert "2.93 to 2.92" in sentence
+    added = example.report()
+    line, _ = headline(
+        dataclasses.replace(added, verdict="unexplained", error=added.error | {"after": 2.92}, explained=0.003)
+    )
+    assert "hardly lowers the error" in line and "Undo" in line
+
+
+def test_headline_says_which_of_the_effects_added_the_data_do_not_ask_for():
+    report = example.report()
+    assert "do not ask" not in headline(report)[1]
+    needless = [dataclasses.replace(c, p_value=0.7) for c in report.ranking]
+    sentence = headline(dataclasses.replace(report, ranking=needless))[1]
+    assert "The data do not ask for fast dark-state blinking" in sentence
+
+
+def test_a_logarithm_is_told_as_one_behind_its_number():
+    row = {"title": "variance/mean", "unit": "ln", "measured": 0.5, "before": 0.62, "after": 0.62, "sd": 0.003}
+    assert observable_text(row, False).endswith("measured 0.5, model 0.62 ± 0.003 (natural log)")
+    assert "± 0.003 (natural log of e⁻)" in observable_text(row | {"unit": "ln e⁻"}, False)
+
+
 def test_export_writes_report_and_model(panel, tmp_path):
     report = example.report()
     panel.show_report(report)
@@ -95,6 +124,24 @@ def test_export_writes_report_and_model(panel, tmp_path):
     assert told["chosen"] == ["triplet_blinking"]
     assert Model.from_json(tmp_path / "model.json") == report.model
     assert (tmp_path / "observables.csv").is_file()
+
+
+def test_a_check_considers_the_suspects_of_the_look(panel, qtbot, monkeypatch):
+    from napari_mufasa import discover
+
+    asked = {}
+
+    def confirm_halves(movie, model, dark, **how):
+        asked.update(how)
+        raise MufasaError("asked")
+
+    monkeypatch.setattr(discover, "confirm_halves", confirm_halves)
+    measurement = session_of(panel.viewer).measurement()
+    investigation = SimpleNamespace(believed=session_of(panel.viewer).model)
+    panel._examined = {"measurement": measurement, "investigation": investigation, "suspects": ("stage_drift",)}
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=20_000):
+        panel.check_halves()
+    assert asked["effects"] == ("stage_drift",)
 
 
 def test_add_without_examination_says_what_to_do(panel):

@@ -11,13 +11,13 @@ Draw = Callable[[Any], Any]
 _DRAWING = threading.Lock()
 
 
-def drawing(name: str, *args: Any, whole: bool = False) -> Draw:
+def drawing(name: str, *args: Any, whole: bool = False, **options: Any) -> Draw:
     """A function of `napari_mufasa.report.plots` on these values, for one pair of axes or the whole figure."""
 
     def draw(figure: Any) -> None:
         from napari_mufasa.report import plots as plotting
 
-        getattr(plotting, name)(figure if whole else figure.subplots(), *args)
+        getattr(plotting, name)(figure if whole else figure.subplots(), *args, **options)
 
     return draw
 

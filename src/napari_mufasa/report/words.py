@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 MOST_OFF = 3  # observables that are told as still off
+NEEDLESS = 0.05  # p-value beyond which the data do not ask for an effect that was added by hand
 
 
 # effects, parameters, numbers ------------------------------------------------------------------------------
@@ -49,10 +50,10 @@ def parameter_label(kind: str, name: str) -> tuple[str, str]:
 
 def number(value: float, sd: float | None = None) -> str:
     """A value with as many digits as its uncertainty allows."""
-    if sd is None or not np.isfinite(sd) or sd <= 0:
-        return f"{value:.3g}"
-    digits = int(np.clip(1 - np.floor(np.log10(sd)), 0, 8))
-    return f"{value:.{digits}f} ± {sd:.{digits}f}"
+    from napari_mufasa.calibrate.value import Value
+
+    known = sd is not None and np.isfinite(sd) and sd > 0
+    return str(Value(value, float(sd))) if known else f"{value:.3g}"  # type: ignore[arg-type]
 
 
 def p_value_text(p_value: float | None) -> str:
@@ -169,10 +170,16 @@ def standing_lines(report: Report) -> list[str]:
 
 
 def _off(row: dict[str, Any]) -> str:
-    unit = f" {row['unit']}" if row["unit"] else ""
-    return (
-        f"{row['title']}, {row['measured']:.3g} measured, {row['simulated']:.3g} simulated{unit} ({row['z']:+.0f} sd)"
-    )
+    measured, simulated, unit = f"{row['measured']:.3g}", f"{row['simulated']:.3g}", _unit(row)
+    return f"{row['title']}, {measured} measured, {simulated} simulated{unit} ({row['z']:+.0f} sd)"
+
+
+def _unit(row: Any) -> str:
+    """The unit of an observable, to stand behind its number; logarithms are told as such."""
+    unit = str(row["unit"])
+    if unit.split(" ")[0] == "ln":
+        return f" (natural log{unit.removeprefix('ln').replace(' ', ' of ')})"
+    return f" {unit}" if unit else ""
 
 
 def listed(names: Iterable[str], word: str = "and") -> str:
@@ -195,15 +202,20 @@ def headline(report: Report) -> tuple[str, str]:
     best = report.ranking[0] if report.ranking else None
     before, after, floor = (report.error.get(key) for key in ("before", "after", "floor"))
     added = report.chosen and report.verdict != "adequate"
-    if added and before is not None and after is not None and after >= before:
+    if added and before is not None and after is not None and (after >= before or _percent(report.explained) == "0 %"):
+        what = "does not lower" if after >= before else "hardly lowers"
         return (
-            f"{effect_title(report.chosen[-1])} does not lower the error: Undo takes it out.",
+            f"{effect_title(report.chosen[-1])} {what} the error: Undo takes it out.",
             f"The error on held-out data was {_two(before)}, it is {_two(after)}; noise alone gives {_two(floor)}.",
         )
     may_lead = report.verdict != "adequate" and not report.chosen and before is not None
     if may_lead and best is not None and best.error_after is not None:
         return _lead(report)
-    return verdict_text(report)
+    line, sentence = verdict_text(report)
+    needless = [in_text(c.effect) for c in report.ranking if c.effect in report.chosen and c.p_value > NEEDLESS]
+    if needless:
+        sentence += f" The data do not ask for {listed(needless)}: Take out tells what the model is worth without."
+    return line, sentence
 
 
 def _lead(report: Report) -> tuple[str, str]:
@@ -212,8 +224,11 @@ def _lead(report: Report) -> tuple[str, str]:
     gives = f"noise alone gives {_two(report.error.get('floor'))}."
     if best.error_after is None or best.error_after >= before:
         return "Something is missing, and no effect tried lowers the error.", f"The error is {_two(before)}; {gives}"
+    line = f"Something is missing. {effect_title(best.effect)} explains it best."
+    if best.evidence <= (report.evidence_needed or 0.0):
+        line = f"Something is missing, and no effect tried explains it: {in_text(best.effect)} comes nearest."
     return (
-        f"Something is missing. {effect_title(best.effect)} explains it best.",
+        line,
         f"Adding it brings the error on held-out data from {_two(before)} to {_two(best.error_after)}; {gives}",
     )
 
@@ -305,8 +320,7 @@ def words_of(candidate: Candidate) -> str:
 
 def observable_text(row: Any, completed: bool) -> str:
     """One row of `Report.observables` in numbers, as rich text; `completed` once an effect was added."""
-    unit = f" {row['unit']}" if row["unit"] else ""
-    model = f"model {row['before']:.3g} ± {row['sd']:.2g}{unit}"
+    model = f"model {row['before']:.3g} ± {row['sd']:.2g}{_unit(row)}"
     return f"<b>{escape(str(row['title']))}</b>: measured {row['measured']:.3g}, {escape(model)}" + (
         f" · now {row['after']:.3g}" if completed else ""
     )

@@ -122,12 +122,13 @@ def curves(parent: Figure | SubFigure, shown: Sequence[Curve], columns: int = 2)
     parts.common_legend(parent, axes)
 
 
-def z_scores(ax: Axes, observables: pd.DataFrame, top: int = 10) -> None:
-    """The observables the base model misses most: their distance in sd before and after."""
+def z_scores(ax: Axes, observables: pd.DataFrame, top: int = 10, also: str = "") -> None:
+    """The observables the base model misses most, and in any case `also`: their distance in sd before and after."""
     p = palette()
     top = min(top, parts.fitting_rows(ax))
-    order = observables["z_before"].abs().sort_values(ascending=False).index[:top][::-1]
-    table = observables.loc[order]
+    order = list(observables["z_before"].abs().sort_values(ascending=False).index)
+    asked = [row for row in order[top:] if observables.loc[row, "observable"] == also]
+    table = observables.loc[[*order[: top - len(asked)], *asked][::-1]]
     if table.empty:
         return parts.empty(ax, "no observables")
     y = np.arange(len(table))

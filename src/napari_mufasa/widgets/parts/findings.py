@@ -73,7 +73,7 @@ class WherePage(QWidget):
         found = observables[observables["observable"] == name]
         title = observable_text(found.iloc[0], bool(self.report.chosen)) if len(found) else ""
         if curve is None:  # a single number: it is shown among the others
-            self.curve.draw(drawing("z_scores", observables), observables, title)
+            self.curve.draw(drawing("z_scores", observables, also=name), observables, title)
         else:
             data = pd.DataFrame({column: getattr(curve, column) for column in COLUMNS})
             self.curve.draw(drawing("curve", curve), data, title)

@@ -141,15 +141,15 @@ class DiscoverPanel(Panel):
     # runs -------------------------------------------------------------------------------------------
     def prepare(self) -> None:
         self.session.measurement().recorded()
-        layer = weakref.ref(self.form.movie.value)
+        layer, suspects = weakref.ref(self.form.movie.value), self.suspects.chosen()
 
         def done(layers: list[Any]) -> Generator[None, None, None]:
             found = ours(layers[0])
-            self._examined, self._steps = found | {"layer": layer}, []
+            self._examined, self._steps = found | {"layer": layer, "suspects": suspects}, []
             yield from self.layers.clear()
             yield from self.take((found["report"], found["places"]))
 
-        self.call(self.running, done, effects=self.suspects.chosen(), max_effects=0)
+        self.call(self.running, done, effects=suspects, max_effects=0)
 
     def add_selected(self) -> None:
         """Fit the selected effects into the model together, see what is still missing."""
@@ -208,11 +208,11 @@ class DiscoverPanel(Panel):
         return measurement.movie, self._examined["investigation"].believed, measurement.dark
 
     def _check(self, against: str, confirmed: Callable[..., Any]) -> None:
-        seed = self.form.seed.value
+        seed, suspects = self.form.seed.value, self._examined["suspects"]
 
         def work() -> Any:
             progress, cancel = steering()
-            return confirmed(seed=seed, progress=progress, cancel=cancel)
+            return confirmed(seed=seed, effects=suspects, progress=progress, cancel=cancel)
 
         def done(held: Any) -> None:
             report, places = self._steps[-1]
