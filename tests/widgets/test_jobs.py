@@ -53,13 +53,17 @@ def test_a_first_compilation_is_told(bar, qtbot):
         njit(lambda x: x + 1)(2)  # anew in every process
         compiled.set()
         assert go_on.wait(10)
+        steering()[0](1, 2)
+        assert end.wait(10)
 
-    compiled, go_on = threading.Event(), threading.Event()
+    compiled, go_on, end = threading.Event(), threading.Event(), threading.Event()
     with qtbot.waitSignal(bar.finished, timeout=20_000):
         bar.start("Working", work, lambda _: None)
         qtbot.waitUntil(compiled.is_set, timeout=10_000)
         qtbot.waitUntil(lambda: bar.message.text() == "Working … (compiling, once for this machine)", timeout=5000)
         go_on.set()
+        qtbot.waitUntil(lambda: bar.message.text() == "Working …", timeout=5000)
+        end.set()
     assert bar.message.text() == ""
 
 

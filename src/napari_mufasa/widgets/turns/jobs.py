@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from qtpy.QtCore import QEvent, QObject, Qt, Signal  # type: ignore[attr-defined]
-from qtpy.QtWidgets import QProgressBar, QWidget
+from qtpy.QtWidgets import QProgressBar, QPushButton, QWidget
 
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.widgets.parts.pieces import Words, button, column, made, row, timer
@@ -86,7 +86,7 @@ class RunBar(QWidget):
     ``start(title, work, done)`` runs ``work()``, which may ask `steering()`, in the background and then calls
     ``done(result)`` in the interface's thread. Where `done` is a generator, the interface breathes at each ``yield``:
     what it has to do (a layer, another layer, a table) is done one thing at a time. ``finished`` is emitted after every
-    run, however it ended.
+    run, however it ended. Other buttons that start a run here are `besides`: pressed meanwhile, they would do nothing.
     """
 
     clicked = Signal()
@@ -96,6 +96,7 @@ class RunBar(QWidget):
     def __init__(self, run_label: str, tooltip: str = "", parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.run_button = button(run_label, self.clicked.emit, tooltip)
+        self.besides: list[QPushButton] = []
         self.cancel_button = button("Cancel", self.cancel, "Stop this run; nothing is kept of it")
         self.bar = made(QProgressBar, textVisible=False, maximumHeight=6)
         self.message = Words()
@@ -146,7 +147,8 @@ class RunBar(QWidget):
             self.say("Stopping …")
 
     def _show_running(self, running: bool) -> None:
-        self.run_button.setEnabled(not running)
+        for starts in (self.run_button, *self.besides):
+            starts.setEnabled(not running)
         self.cancel_button.setVisible(running)
         self.bar.setVisible(running)
         if running:
@@ -156,6 +158,8 @@ class RunBar(QWidget):
         done, total = news
         self.bar.setRange(0, max(total, 1))
         self.bar.setValue(done)
+        if self._worker is not None and not self._worker.abort_requested:
+            self.say(f"{self._title} …")  # it may have been compiling
 
     def _tell_compiling(self) -> None:
         with contextlib.suppress(RuntimeError):  # the widget is gone
