@@ -12,7 +12,7 @@ UNITS = {  # endings of names; longer ones first where one ends the other
     "_per_s": "1/s",
     "_frames": "frames",
     "_adu": "ADU",
-    "_e2": "(e⁻)²",
+    "_e2": "e⁻ squared",
     "_deg": "°",
     "_nm": "nm",
     "_px": "px",

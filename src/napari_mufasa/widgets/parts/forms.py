@@ -25,7 +25,9 @@ from napari_mufasa.widgets.parts.pieces import Words, column
 from napari_mufasa.widgets.parts.preferences import preference
 from napari_mufasa.widgets.turns.session import Session, session_of, unwrapped
 
-EMPTY = {"frame_interval_s": "no dead time", "high_resolution_factor": "exact integrals"}
+EMPTY = {
+    "frame_interval_s": "no dead time", "high_resolution_factor": "exact integrals", "excess_noise_factor": "2",
+}  # fmt: skip
 ERROR_STYLE = "QLineEdit { border: 1px solid #e0605e; }"
 PREFERRED = {"seed": "steps.seed", "threshold_sigma": "steps.threshold_sigma", "fit": "steps.fit_before_comparing"}
 
@@ -162,8 +164,9 @@ def widget_for(name: str, field: FieldInfo, owner: type[BaseModel]) -> Any:
         return CheckBox(**options)
     if kind is typing.Any:
         return MapEdit(**options)
-    options["tooltip"] += "\nempty: off" if optional else ""
-    return TypedEdit(of=kind, nullable=optional, empty=EMPTY.get(name, "off" if optional else ""), **options)
+    empty = EMPTY.get(name, "off") if optional else ""
+    options["tooltip"] += f"\nempty: {empty}" if optional else ""
+    return TypedEdit(of=kind, nullable=optional, empty=empty, **options)
 
 
 # of a session's model ------------------------------------------------------------------------------------
@@ -183,7 +186,7 @@ class PartEditor(QWidget):
         values = getattr(self.session.model, self.part)
         self.form.show_values(values)
         if self.part == "camera":
-            self.form["em_gain"].visible = values.type == "EMCCD"
+            self.form["em_gain"].visible = self.form["excess_noise_factor"].visible = values.type == "EMCCD"
             self.form["cmos_gain_curve"].visible = values.type == "CMOS"
 
     def _take(self, name: str, value: Any) -> None:
@@ -191,6 +194,7 @@ class PartEditor(QWidget):
         if (self.part, name) == ("camera", "type"):
             gain = self.session.model.camera.em_gain
             values["camera.em_gain"] = (gain or 300) if value == "EMCCD" else None
+            values["camera.excess_noise_factor"] = None  # the register's
         self.session.change_model(self.session.model.with_values(values), "edited")
 
 
