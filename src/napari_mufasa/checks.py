@@ -172,5 +172,10 @@ def told(value: Any) -> str:
     return f"a {type(value).__name__}"
 
 
+def counted(n: int, what: str) -> str:
+    """So many of something: "1 frame", "2 frames"."""
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"
+
+
 def _content(kind: str, dtype: Any) -> str:
     return {"O": "Python objects", "b": "yes and no (bool)", "c": f"complex numbers ({dtype})"}.get(kind, str(dtype))

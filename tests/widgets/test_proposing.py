@@ -37,7 +37,10 @@ def test_a_model_is_proposed_believed_and_explained(with_movie, open_panel, qtbo
     panel.form.em_gain.value = 500.0
     with qtbot.waitSignal(panel.run_bar.finished, timeout=120_000):
         panel.propose_button.click()
-    assert session.model_origin == "proposed from lit"
+        assert not panel.propose_button.isEnabled()
+        session.set_movie(with_movie.layers["bright"])  # meanwhile
+    assert panel.propose_button.isEnabled()
+    assert session.model_origin == "proposed from lit" and "from lit" in panel.result.text()
     # Without dark frames, and with two photoelectrons a pixel, the baseline is known to about one of 676 ADU.
     assert session.model.camera.baseline_adu == pytest.approx(bright_model.camera.baseline_adu, abs=2 * 676)
     assert session.model.camera.em_gain == 500

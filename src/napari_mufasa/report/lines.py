@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.checks import counted
 from napari_mufasa.report.fields import label_of, number_text, told
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ def movie_facts(name: str, shape: tuple[int, ...], dtype: Any, size_um: float | 
     """What is known about a movie (frame, y, x), as HTML; `carried`: about the model in its metadata."""
     frames, height, width = shape
     size = f"pixel size {size_um * 1000:.4g} nm" if size_um else "pixel size not stated: the model's is used"
-    return f"<b>{name}</b>: {frames} frames of {height} × {width} px, {dtype}<br>{size}<br>{carried}"
+    return f"<b>{name}</b>: {counted(frames, 'frame')} of {height} × {width} px, {dtype}<br>{size}<br>{carried}"
 
 
 def instrument_line(known: dict[str, Any]) -> str:
@@ -43,10 +45,10 @@ def instrument_line(known: dict[str, Any]) -> str:
     return ", ".join(told)
 
 
-def calibration_line(found: Calibration) -> str:
-    """What was measured of a camera."""
+def calibration_line(found: Calibration, movie: str) -> str:
+    """What was measured of a camera, and on which movie."""
     return (
-        f"Measured: {found.adu_per_photoelectron} ADU per photoelectron, baseline {found.baseline_adu} ADU, "
+        f"Measured on {movie}: {found.adu_per_photoelectron} ADU per photoelectron, baseline {found.baseline_adu} ADU, "
         f"read noise {found.read_noise_adu} ADU."
     )
 
@@ -80,8 +82,8 @@ def _stretches(ranges: tuple[tuple[float, float], ...]) -> str:
     return " and ".join(f"{low:.4g} … {high:.4g}" for low, high in ranges) or "no value"
 
 
-def proposal_lines(found: Proposal) -> str:
-    """What a proposed model rests on: values with their intervals, what is not known, what to note, as HTML."""
+def proposal_lines(found: Proposal, movie: str) -> str:
+    """What a model proposed from a movie rests on: values with intervals, what is not known, what to note, as HTML."""
     rows = []
     for name, value in found.values.items():
         low, high = value.interval
@@ -90,7 +92,7 @@ def proposal_lines(found: Proposal) -> str:
     unknown = "".join(f"<br>{label_of(name.split('.')[-1])}: {words}" for name, words in found.unknown.items())
     notes = "".join(f"<br>{note}" for note in found.notes)
     told_unknown = f"<b>Not known</b>{unknown}" if unknown else ""
-    head = "<b>Proposed</b> (95 % interval); it is the believed model now"
+    head = f"<b>Proposed</b> from {escape(movie)} (95 % interval)"
     return f"{head}<table>{''.join(rows)}</table>{told_unknown}{notes}"
 
 

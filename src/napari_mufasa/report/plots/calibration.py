@@ -72,6 +72,7 @@ def _histogram(ax: Axes, fit: Fit | None) -> None:
     if shown.any():
         ax.set_ylim(0.5 * seen[shown].min(), 2 * seen.max())
         ax.set_xlim(edges[0], edges[:-1][shown].max() + width[shown][-1])
-    ax.set_xlabel(f"{fit.name}: count about its mean (ADU)")
+    ax.set_xlabel(f"{fit.name}: count − mean (ADU)")
+    ax.set_ylabel("counts per ADU")
     title(ax, f"{100 * fit.distance:.2g} % elsewhere, p = {fit.p_value:.2g}")
     legend(ax)

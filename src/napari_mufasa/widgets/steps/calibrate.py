@@ -1,5 +1,7 @@
 """Calibrate (step Camera): the camera of every later step, typed in or measured on the movie."""
 
+from functools import partial
+from html import escape
 from typing import Annotated
 
 from magicgui import magic_factory
@@ -60,15 +62,15 @@ def calibrate(
 calibrate_widget = magic_factory(calibrate, call_button="Measure", widget_init=begin)
 
 
-def believe(session: Session, found: Calibration) -> str:
-    """What was measured is the camera from now on; says what it is."""
+def believe(session: Session, movie: str, found: Calibration) -> str:
+    """What was measured on a movie is the camera from now on; says what it is."""
     session.change_model(session.model.model_copy(update={"camera": found.camera}), "measured")
-    return calibration_line(found)
+    return calibration_line(found, movie)
 
 
 class CameraPanel(Panel):
     words = "The camera that recorded the movie. It is used in every later step."
-    run_label, running, needs_counts = "Measure it on the movie", "Measuring the camera", True
+    run_label, running = "Measure it on the movie", "Measuring the camera"
     form_factory = calibrate_widget
     hidden = ("dark_frames", "camera_type")
 
@@ -83,6 +85,7 @@ class CameraPanel(Panel):
             "Propose a model from this movie", lambda: self.guarded(self.propose),
             "Metadata, camera, PSF width, background, molecules and their light: a model to start from",
         )  # fmt: skip
+        self.run_bar.besides.append(self.propose_button)
         self.add(self.source.native, Doubts(self.session, self), self.propose_button, self.editor)
         self.add(section("Timing and pixels", timing))
         self.add(Words("<b>Measure it</b> where its values are not known: steady light, dark frames"))
@@ -91,8 +94,13 @@ class CameraPanel(Panel):
         self.session.model_changed.connect(self._refresh)
         self._refresh()
 
-    def take(self, found: Calibration) -> None:
-        self.result.say("<br>".join((believe(self.session, found), fit_line(found), *found.notes)))
+    def prepare(self) -> None:
+        self.session.measurement().recorded()
+        self.call(self.running, partial(self.take_camera, self.form.movie.value.name))
+
+    def take_camera(self, movie: str, found: Calibration) -> None:
+        """The camera measured on a movie is believed; the panel tells how well it is known."""
+        self.result.say("<br>".join((escape(believe(self.session, movie, found)), fit_line(found), *found.notes)))
         self._show(found)
 
     def propose(self) -> None:
@@ -101,14 +109,14 @@ class CameraPanel(Panel):
         asked = self.form.asdict()
         names = ("movie", "dark", "dark_frames", "em_gain", "electrons_per_adu", "quantum_efficiency")
         given = {name: asked[name] for name in names}
-        self.run_bar.start("Proposing a model", lambda: propose(**given), self.take_proposal)
+        done = partial(self.take_proposal, asked["movie"].name)
+        self.run_bar.start("Proposing a model", lambda: propose(**given), done)
         into_view(self.run_bar)
 
-    def take_proposal(self, found: Proposal) -> None:
-        """The proposed model is believed; the panel tells how far each value is known."""
-        layer = self.session.movie_layer
-        self.session.set_model(found.model, f"proposed from {layer.name if layer is not None else 'the movie'}")
-        self.result.say(proposal_lines(found))
+    def take_proposal(self, movie: str, found: Proposal) -> None:
+        """The model proposed from a movie is believed; the panel tells how far each value is known."""
+        self.session.set_model(found.model, f"proposed from {movie}")
+        self.result.say(proposal_lines(found, movie))
         self._show(found.calibration)
         timer(self, 50, lambda: into_view(self.result)).start()  # once it has its place
 

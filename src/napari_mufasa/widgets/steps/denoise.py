@@ -22,10 +22,10 @@ from napari_mufasa.widgets.turns.session import model_in
 from napari_mufasa.widgets.turns.steering import steering
 
 METHODS = [
-    ("PURE-LET, past and future frames", "pure-let-movie"),
-    ("PURE-LET, frame by frame", "pure-let"),
-    ("PURE-LET, frame by frame, like patches", "pure-let-patches"),
-    ("recipe of the source note", "source"),
+    ("PURE-LET, over time", "pure-let-movie"),
+    ("PURE-LET, each frame", "pure-let"),
+    ("PURE-LET, like patches", "pure-let-patches"),
+    ("source note's recipe", "source"),
     ("camera's inverse only", "none"),
 ]
 IN_USE = "as set below"
@@ -46,7 +46,8 @@ def denoise(
     Without a model, here and in the movie's metadata, the camera is measured on the movie and its dark frames.
 
     Parameters:
-        method: The first is best on movies, the third on single frames; the others are to compare
+        method: Over past and future frames is best on movies, like patches of each frame on single images; the others
+            are to compare
         excess_noise: An EMCCD's multiplication doubles the variance; untick for the source note's literal way
         residual: A layer of counts (as photons) less the result: it should look like noise
 
@@ -119,9 +120,10 @@ class DenoisePanel(Panel):
             self.session.measurement().recorded()
             chosen = {key: self.form[key].value for key in ("movie", "dark", "dark_frames")}
             chosen["camera_type"] = self.session.model.camera.type
-            say = self.run_bar.say
+            say, movie = self.run_bar.say, chosen["movie"].name
             self.run_bar.start(
-                "Measuring the camera", lambda: calibrate(**chosen), lambda found: say(believe(self.session, found))
-            )
+                "Measuring the camera", lambda: calibrate(**chosen),
+                lambda found: say(believe(self.session, movie, found)),
+            )  # fmt: skip
         elif name in CAMERAS:
             self.session.set_model(self.session.model.model_copy(update={"camera": Camera(**CAMERAS[name])}))
