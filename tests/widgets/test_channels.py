@@ -60,7 +60,7 @@ def test_rectangles_that_are_moved_are_the_channels(two):
 def test_one_shape_is_too_few(two):
     viewer = two[0]
     shapes = Shapes([[[0, 0], [0, 90], [90, 90], [90, 0]]], name="one")
-    with pytest.raises(MufasaError, match="has 1 shapes: draw"):
+    with pytest.raises(MufasaError, match="has 1 shape: draw"):
         sides_of(viewer.layers["beads"], shapes, "left-right")
 
 

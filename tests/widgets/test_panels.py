@@ -226,6 +226,35 @@ def test_camera_type_brings_or_takes_the_em_gain(viewer, open_panel):
     assert session.model.camera.em_gain is None
 
 
+def test_a_camera_without_a_register_has_no_excess_noise_of_one(viewer, open_panel):
+    panel = open_panel(ModelPanel, viewer)
+    session = session_of(viewer)
+    panel.source.value = "FF"
+    form = panel.parts["camera"].form
+    assert form["excess_noise_factor"].native.placeholderText() == "2"  # what an empty field stands for
+    type_into(form["excess_noise_factor"], "1.9")
+    pick(form["type"], "CCD")
+    assert session.model.camera.type == "CCD" and session.model.camera.excess_noise_factor is None
+    assert not form["excess_noise_factor"].native.isVisibleTo(form.native)
+
+
+def test_entries_of_lists_fit_a_narrow_dock():
+    from napari_mufasa.widgets.parts.model_edit import FROM_LAYER
+    from napari_mufasa.widgets.steps.denoise import IN_USE, MEASURED, METHODS
+
+    assert max(map(len, (FROM_LAYER, IN_USE, MEASURED, *(words for words, _ in METHODS)))) <= 23
+
+
+def test_facts_of_a_single_frame_and_of_colours(viewer, open_panel):
+    from napari_mufasa.widgets.steps.data import DataPanel
+
+    panel = open_panel(DataPanel, viewer)
+    session_of(viewer).set_movie(viewer.add_image(np.zeros((16, 24), np.uint16), name="one"))
+    assert "1 frame of 16 × 24 px" in panel.facts.text()
+    session_of(viewer).set_movie(viewer.add_image(np.zeros((16, 24, 3), np.uint8), name="photo", rgb=True))
+    assert "photo has colours (RGB)" in panel.facts.text()
+
+
 def test_workflow_shares_its_values_between_steps(with_movie, qtbot):
     widget = WorkflowWidget(with_movie)
     with_movie.window.add_dock_widget(widget)
@@ -305,7 +334,8 @@ def test_a_measured_camera_is_that_of_every_step(with_movie, open_panel, run, br
     wanted = calibrate(bright_movie.movie, baseline_adu=367.0, read_noise_adu=82.0).camera
     assert session_of(with_movie).model.camera == wanted
     assert panel.editor.form["electrons_per_adu"].value == wanted.electrons_per_adu
-    assert "367" in panel.result.text() and "(measured)" in session_of(with_movie).model_origin
+    assert "Measured on bright" in panel.result.text() and "baseline 367 ADU, read noise 82 ADU" in panel.result.text()
+    assert "(measured)" in session_of(with_movie).model_origin
 
 
 def test_molecules_that_are_followed_are_shown_as_tracks(with_movie, open_panel, run):

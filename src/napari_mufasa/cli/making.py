@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from napari_mufasa import provenance
+from napari_mufasa.checks import counted
 from napari_mufasa.cli import console
 from napari_mufasa.cli.options import EngineName, ModelFile, Overwrite, Resume, Scheduler, Seed, SnrBy
 from napari_mufasa.errors import MufasaError
@@ -93,7 +94,8 @@ def simulate(
     if truth is not None:
         _write_truth(truth, acquisition, (model, positions))
     n = len(acquisition.scene.positions_px)
-    typer.echo(f"{out}: {movie_shape[0]} frames of {movie_shape[1]} × {movie_shape[2]} px, {n} molecules, seed {seed}")
+    told = f"{counted(movie_shape[0], 'frame')} of {movie_shape[1]} × {movie_shape[2]} px, {counted(n, 'molecule')}"
+    typer.echo(f"{out}: {told}, seed {seed}")
 
 
 def _chosen_model(preset: str | None, path: Path | None) -> Model:

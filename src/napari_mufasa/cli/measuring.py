@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from napari_mufasa.checks import counted
 from napari_mufasa.cli import console, registering
 from napari_mufasa.cli.options import (
     AcceptorSigma,
@@ -115,7 +116,7 @@ def denoise(
         if camera_type is None:
             typer.echo(f"{camera.type} taken: if that is wrong, say --type CCD, CMOS or EMCCD (light differs by 2)")
     n_frames, height, width = recorded.shape
-    typer.echo(f"{out}: {n_frames} frames of {height} × {width} px, photons per pixel and frame")
+    typer.echo(f"{out}: {counted(n_frames, 'frame')} of {height} × {width} px, photons per pixel and frame")
 
 
 def _camera_measured(camera: Camera) -> str:

@@ -45,7 +45,9 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     notes = []
     frames = min(shape[0], FRAMES)
     if frames < LEAST_FRAMES:
-        raise MufasaError(f"the movie has {shape[0]} frames: a diagnosis needs at least {LEAST_FRAMES}")
+        raise MufasaError(
+            f"the movie has {checks.counted(shape[0], 'frame')}: a diagnosis needs at least {LEAST_FRAMES}"
+        )
     if frames < shape[0]:
         notes.append(f"The first {frames} of {shape[0]} frames were used.")
     rows, columns = _crop(shape[1:], VOXELS // frames)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from napari_mufasa.checks import counted
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.formats import FORMATS, is_format
 from napari_mufasa.files.instrument import Instrument
@@ -141,7 +142,8 @@ def measurement_of(movie: Any, dark: Any = None, dark_frames: int = 0) -> Measur
         first = dark_frames
         if first >= len(stack):
             raise MufasaError(
-                f"the first {first} frames are called dark, but {movie.name} has {len(stack)}: give fewer dark frames"
+                f"of {movie.name} {counted(first, 'frame')} at the start should be dark, but it has {len(stack)}: give "
+                "fewer dark frames"
             )
         stack, frames = stack[first:], stack[:first]
     unit: Literal["adu", "photons"] = "photons" if stored(movie, "role") == PHOTONS else "adu"
@@ -158,7 +160,9 @@ def stack_of(layer: Any) -> Any:
 
 def _stack(data: Any, multiscale: bool, rgb: bool) -> Any:
     data = data[0] if multiscale else data
-    if rgb or data.ndim not in (2, 3):
+    if rgb:
+        raise ValueError("colours (RGB): a movie is grey, (frame, y, x)")
+    if data.ndim not in (2, 3):
         raise ValueError(f"shape {tuple(data.shape)}: a movie is (frame, y, x)")
     return data if data.ndim == 3 else data[np.newaxis]
 

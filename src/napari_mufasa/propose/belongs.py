@@ -71,8 +71,8 @@ def differences(movie: Movie, model: Model) -> list[str]:
     timing, used = model.acquisition, "the model's value is used"
     n_frames, height, width = movie.data.shape
     if (n_frames, height, width) != (timing.n_frames, *timing.shape_px):
-        said = f"{timing.n_frames} frames of {timing.shape_px[0]} × {timing.shape_px[1]} px"
-        has = f"{n_frames} frames of {height} × {width} px"
+        said = f"{checks.counted(timing.n_frames, 'frame')} of {timing.shape_px[0]} × {timing.shape_px[1]} px"
+        has = f"{checks.counted(n_frames, 'frame')} of {height} × {width} px"
         found.append(f"the movie has {has}, the model says {said}: the movie's values are used")
     size_nm = movie.pixel_size_nm
     if size_nm is not None and abs(size_nm / timing.pixel_size_nm - 1) > 0.01:

@@ -21,7 +21,7 @@ from napari_mufasa.widgets.turns.jobs import errors_reported
 from napari_mufasa.widgets.turns.session import Session
 
 FROM_FILE = "model.json …"
-FROM_LAYER = "from the movie's metadata"
+FROM_LAYER = "from the movie"
 
 
 class ModelEdit(ValuedContainerWidget[Any]):

@@ -51,6 +51,7 @@ class DataPanel(Panel):
         choices = [(f"Sample: {name}", key) for key, (name, _) in SAMPLES.items()]
         self.sample: Any = dress_one(ComboBox(choices=choices, label="Sample"))
         self.sample_button = button("Open sample", lambda: self.open_sample(self.sample.value))
+        self.run_bar.besides.append(self.sample_button)
         self.facts = Words("No movie yet.")
         self.use_model = button(
             "Believe the model in the metadata", self.session.take_model_of_movie,

@@ -126,6 +126,7 @@ class DesignPanel(Panel):
         self.power_button = button(
             "How often is it seen?", partial(self.guarded, self.simulate_power), "Simulate movies with each strength"
         )
+        self.run_bar.besides.append(self.power_button)
         owner = QWidget()
         column(owner, self.hidden_effect.native, row(self.power_button))
         return owner

@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QWidget
 from napari_mufasa.channels import Channels, Rectangle
 from napari_mufasa.channels import register as find_map
 from napari_mufasa.channels.rectangle import around, rectangle
+from napari_mufasa.checks import counted
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import contrast, stack_of
 from napari_mufasa.files.movies import METADATA_KEY
@@ -63,8 +64,8 @@ def sides_of(movie: Any, regions: Any, split: Split) -> tuple[Rectangle, Rectang
         return donor, acceptor
     if len(regions.data) < 2:
         raise MufasaError(
-            f"layer {regions.name} has {len(regions.data)} shapes: draw one around the donor's channel, then one "
-            "around the acceptor's"
+            f"layer {regions.name} has {counted(len(regions.data), 'shape')}: draw one around the donor's "
+            "channel, then one around the acceptor's"
         )
     donor, acceptor = (around(_in_pixels(vertices, regions, movie), (height, width)) for vertices in regions.data[:2])
     return donor, acceptor
@@ -129,6 +130,7 @@ class TwoChannels(QWidget):
             "Register", lambda: panel.guarded(self.register),
             "Find which place of the acceptor's channel is which of the donor's; step Molecules then reads both",
         )  # fmt: skip
+        panel.run_bar.besides.append(self.register_button)
         self.save_button = panel.saver("Save channels …", "Rectangles and transform", self.save, "channels.json")
         column(
             self, Words("Frames of an image splitter: work on one channel, or register both."), self.form.native,

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from magicgui import magic_factory
 from napari.layers import Layer
 
+from napari_mufasa.checks import counted
 from napari_mufasa.files.layers import movie_space
 from napari_mufasa.model.presets import preset
 from napari_mufasa.widgets.parts.forms import DerivedValues, PartEditor, begin
@@ -86,4 +87,4 @@ class SimulatePanel(Panel):
         if movie in self.viewer.layers:
             self.viewer.layers.selection.active = movie
         self.viewer.dims.set_point(0, 0)
-        self.run_bar.say(f"{len(movie.data)} frames.")
+        self.run_bar.say(f"{counted(len(movie.data), 'frame')}.")

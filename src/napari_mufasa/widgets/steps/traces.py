@@ -9,6 +9,7 @@ from magicgui import magic_factory
 from napari.layers import Layer, Points, Tracks
 from pydantic import PositiveInt
 
+from napari_mufasa.checks import counted
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import Measurement, measurement_of, stored
 from napari_mufasa.report.lines import efficiency_line, molecule_line, moving_line
@@ -176,7 +177,8 @@ class MoleculesPanel(Panel):
         points: Points = layers[0]
         self.points, self.shown = points, None
         found: Any = self.traces
-        said = f"{int(found.kept.sum())} molecules kept of {len(found.molecules)} candidates."
+        n, candidates = int(found.kept.sum()), counted(len(found.molecules), "candidate")
+        said = f"{counted(n, 'molecule')} kept of {candidates}."
         pair, followed = stored(points, "pair"), found.path_px is not None
         more = f" F{moving_line(found)[1:]}." if followed else f" E{efficiency_line(pair)[1:]}." if pair else ""
         self.run_bar.say(said + more)
