@@ -238,6 +238,14 @@ def test_a_camera_without_a_register_has_no_excess_noise_of_one(viewer, open_pan
     assert not form["excess_noise_factor"].native.isVisibleTo(form.native)
 
 
+def test_a_layer_taken_out_of_the_viewer_is_offered_by_no_step(viewer, open_panel):
+    panels = [open_panel(kind, viewer) for kind in (DenoisePanel, ComparePanel, CameraPanel)]
+    first = viewer.add_image(np.zeros((4, 16, 24), np.uint16), name="first")  # the first step to hear of it chooses it
+    assert all(panel.form.movie.value is first for panel in panels)
+    viewer.layers.remove(first)
+    assert all(panel.form.movie.choices == () for panel in panels)
+
+
 def test_entries_of_lists_fit_a_narrow_dock():
     from napari_mufasa.widgets.parts.model_edit import FROM_LAYER
     from napari_mufasa.widgets.steps.denoise import IN_USE, MEASURED, METHODS

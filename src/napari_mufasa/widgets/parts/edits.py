@@ -176,8 +176,10 @@ class LayerEdit(ComboBox):
             if not isinstance(layer, Layer):
                 given = type(layer).__name__
                 raise MufasaError(f"{self.name} is a {given}: give a layer, as napari.layers.Image(array)")
-            self._given = layer
-            self.reset_choices()
+            self.reset_choices()  # the list may not yet have heard of it
+            if layer not in self.choices:
+                self._given = layer
+                self.reset_choices()
         ComboBox.value.fset(self, layer)  # type: ignore[attr-defined]
 
     def reset_choices(self, *_: Any) -> None:
