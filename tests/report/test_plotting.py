@@ -348,6 +348,14 @@ def test_distances_show_one_model_until_an_effect_is_added(added):
     assert len([line for line in ax.lines if line.get_marker() == "o"]) == 1 + added
 
 
+def test_a_map_of_few_values_has_them_as_ticks():
+    across, up = "excitation.power_density_w_per_cm2", "optics.psf_fwhm_nm"
+    table = pd.DataFrame({across: [1.0, 10, 1, 10], up: [250.0, 250, 300, 300], "snr_spot": [1.0, 7, 1, 6]})
+    made = Figure()
+    plotting.predictions(made, table, [across, up], ["snr_spot"])
+    assert list(made.axes[0].get_xticks()) == [1, 10] and list(made.axes[0].get_yticks()) == [250, 300]
+
+
 def test_the_distance_that_was_asked_for_is_among_those_shown():
     table = report().observables
     least = table.loc[table["z_before"].abs().idxmin()]

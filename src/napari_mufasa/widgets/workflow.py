@@ -10,9 +10,10 @@ from napari.viewer import Viewer
 from qtpy.QtCore import QEvent, QSize, Qt
 from qtpy.QtWidgets import QScrollArea, QSizePolicy, QTabWidget, QWidget
 
-from napari_mufasa.widgets.parts.pieces import TAB_STYLE, button, column, made, row, shortcut
+from napari_mufasa.widgets.parts.pieces import button, column, made, row, shortcut
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
 
+TAB_STYLE = "QTabBar::tab { padding: 3px 4px; }"  # docks are narrow
 # napari puts an empty stretch below widgets that do not ask for the height; it would take half of the dock.
 TALL = (QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
 STEPS = ("Data", "Camera", "Denoise", "Molecules", "Model", "Compare", "Discover")

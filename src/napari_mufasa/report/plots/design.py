@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 JUDGED_BY = (
     "snr_spot", "collected_photons_per_frame", "frames_before_bleaching", "localisation_nm", "on_time_s", "duty_cycle",
 )  # fmt: skip
+FEW = 6  # values of an axis that are its ticks
 WIDE = 20.0  # from which ratio of largest to smallest on an axis is logarithmic
 
 
@@ -83,9 +84,11 @@ def _map(ax: Axes, table: pd.DataFrame, across: str, up: str, name: str, target:
     ax.figure.colorbar(drawn, ax=ax, shrink=0.85)
     if target is not None and min(z.shape) > 1:
         ax.contour(x, y, np.ma.masked_invalid(z), levels=[target], colors="white")
-    for values, scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
+    for values, scale, axis in ((x, ax.set_xscale, ax.xaxis), (y, ax.set_yscale, ax.yaxis)):
         if _wide(values):
             scale("log")
+        elif len(values) <= FEW:  # the edges of their cells, below 0 perhaps, were not asked for
+            axis.set_ticks(values)
     ax.set_xlabel(told(across.split(".")[-1]))
     ax.set_ylabel(told(up.split(".")[-1]))
 

@@ -28,14 +28,13 @@ T = TypeVar("T")
 Layout = TypeVar("Layout", bound=QBoxLayout)
 KEY = Qt.ItemDataRole.UserRole
 ERROR_STYLE = "QLabel { color: #e0605e; }"
-TAB_STYLE = "QTabBar::tab { padding: 3px 4px; }"  # docks are narrow
 
 
 class Tabs(QTabWidget):
     """Tabs that take what height there is: their pages' wishes would make the panel scroll."""
 
     def __init__(self, at_least: int, pages: dict[str, QWidget]) -> None:
-        super().__init__(styleSheet=TAB_STYLE)  # type: ignore[call-arg]
+        super().__init__()
         takes_the_rest(self, at_least)
         for name, page in pages.items():
             self.addTab(page, name)

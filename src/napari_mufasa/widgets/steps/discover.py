@@ -125,7 +125,7 @@ class DiscoverPanel(Panel):
             "Error": self.error,
             "Does it hold?": self.check,
         }
-        self.tabs = Tabs(430, pages | {"What would show": self.unseen})
+        self.tabs = Tabs(430, pages | {"May hide": self.unseen})
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), False)
         caption = "Folder for report.json and model.json"
         self.export_button = self.saver("Export report and model …", caption, self.export)
