@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
+import weakref
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -142,6 +143,17 @@ def test_a_check_considers_the_suspects_of_the_look(panel, qtbot, monkeypatch):
     with qtbot.waitSignal(panel.run_bar.finished, timeout=20_000):
         panel.check_halves()
     assert asked["effects"] == ("stage_drift",)
+
+
+def test_a_verdict_names_its_movie_when_another_is_chosen(panel):
+    session = session_of(panel.viewer)
+    panel._examined = {"measurement": session.measurement(), "layer": weakref.ref(session.movie_layer)}
+    panel.show_report(example.report())
+    assert "Found on" not in panel.verdict.text()
+    session.set_movie(panel.viewer.add_image(np.zeros((4, 16, 24), np.uint16), name="another"))
+    assert "Found on bright, not on the movie chosen" in panel.verdict.text()
+    session.set_movie(panel.viewer.layers["bright"])
+    assert "Found on" not in panel.verdict.text()
 
 
 def test_add_without_examination_says_what_to_do(panel):

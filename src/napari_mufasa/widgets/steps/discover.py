@@ -133,6 +133,7 @@ class DiscoverPanel(Panel):
         self.add(self.form.native, Doubts(self.session, self), suspects, self.run_bar, self.verdict, last=self.tabs)
         self.add(self.export_button)
         self.run_bar.finished.connect(self._enable)
+        self.session.movie_changed.connect(self._show_verdict)
 
     @property
     def report(self) -> "Report | None":
@@ -245,8 +246,7 @@ class DiscoverPanel(Panel):
 
         self._steps.append(found)
         report, _ = found
-        line, sentence = headline(report)
-        self.verdict.say(f"<b>{line}</b><br>{sentence}")
+        self._show_verdict()
         self.verdict.setToolTip("\n".join(report.notes))
         self.standing.say("<br>".join(escape(line) for line in standing_lines(report)))
         self.where.show_report(report)
@@ -264,6 +264,16 @@ class DiscoverPanel(Panel):
         if self.layers.showing:
             yield
             self._show_place()
+
+    def _show_verdict(self) -> None:
+        """The verdict; and of which movie it is, where that is not the one chosen."""
+        if self.report is None:
+            return
+        line, sentence = headline(self.report)
+        of = ""
+        if self._examined and self.session.movie_layer is not self._examined["layer"]():
+            of = f"Found on {escape(self._examined['measurement'].name)}, not on the movie chosen:<br>"
+        self.verdict.say(f"{of}<b>{line}</b><br>{sentence}")
 
     def _enable(self) -> None:
         free = not self.run_bar.running
