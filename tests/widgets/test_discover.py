@@ -145,6 +145,20 @@ def test_a_check_considers_the_suspects_of_the_look(panel, qtbot, monkeypatch):
     assert asked["effects"] == ("stage_drift",)
 
 
+def test_a_check_is_of_another_movie_and_goes_with_its_report(panel):
+    layer = session_of(panel.viewer).movie_layer
+    panel._examined = {"measurement": session_of(panel.viewer).measurement(), "layer": weakref.ref(layer)}
+    held = {"against": "B", "both": [], "only_here": [], "only_there": [], "parameters": [],
+            "error": {"before": 4.2, "carried": 1.1, "after": 1.0, "floor": 0.9}}  # fmt: skip
+    panel.show_report(dataclasses.replace(example.report(), check=held))
+    assert "Checked on B" in panel.check.outcome.toPlainText()
+    panel.show_report(example.report())
+    assert "Checked" not in panel.check.outcome.toPlainText()
+    panel.check.other.value = layer
+    panel.check.other_button.click()
+    assert "choose another movie" in panel.run_bar.message.text() and not panel.run_bar.running
+
+
 def test_a_verdict_names_its_movie_when_another_is_chosen(panel):
     session = session_of(panel.viewer)
     panel._examined = {"measurement": session.measurement(), "layer": weakref.ref(session.movie_layer)}

@@ -29,6 +29,7 @@ from napari_mufasa.widgets.parts.preferences import preference
 if TYPE_CHECKING:
     from napari_mufasa.discover.result import Candidate, Report
 
+NOT_CHECKED = "Diagnosed apart, do other data of the same set-up say the same?"
 COLUMNS = ("x", "measured", "before", "before_sd", "after", "after_sd")
 
 
@@ -143,12 +144,11 @@ class CheckPage(QWidget):
             event.connect(self.other.reset_choices)
         tip = "Diagnose this other movie of the same set-up, and try the completed model on it"
         self.other_button = button("Check on it", other, tip, enabled=False)
-        self.outcome = made(QTextBrowser, html="Diagnosed apart, do other data of the same set-up say the same?")
+        self.outcome = made(QTextBrowser, html=NOT_CHECKED)
         column(self, self.halves_button, row(self.other.native, self.other_button), self.outcome, shares=(2,))
 
     def show_report(self, report: Report) -> None:
-        if lines := check_lines(report.check):
-            self.outcome.setHtml("<br>".join(escape(line) for line in lines))
+        self.outcome.setHtml("<br>".join(escape(line) for line in check_lines(report.check)) or NOT_CHECKED)
 
 
 def preferred_box(text: str, setting: str, tooltip: str) -> QCheckBox:

@@ -198,7 +198,7 @@ class DiscoverPanel(Panel):
         from napari_mufasa.discover import confirm
 
         layer, report = self.check.other.value, self.report
-        if layer is None or report is None:
+        if layer is None or report is None or layer is self._examined["layer"]():
             raise MufasaError("choose another movie of the same set-up: open it, it is a layer then")
         movie = measurement_of(layer).recorded().movie
         _, model, dark = self._recorded()
@@ -251,6 +251,7 @@ class DiscoverPanel(Panel):
         self.standing.say("<br>".join(escape(line) for line in standing_lines(report)))
         self.where.show_report(report)
         self.what.show_report(report)
+        self.check.show_report(report)
         self.detectable.fill(detectable_rows(report))
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), bool(report.detectable))
         self.history.draw(drawing("staircase", report), pd.DataFrame(report.history))
