@@ -128,6 +128,56 @@ def test_molecules_of_a_movie():
     assert abs(cycles.value - told["cycles_before_bleaching"]) < 4 * cycles.sd
 
 
+def test_molecules_too_short_lived_to_be_found_are_allowed_for():
+    """Of molecules that live for 4 frames on average, those found live for 6.3: they shone in 3 frames."""
+    four_frames = 4 * nm.predict(nm.preset("FF")).k01_per_s * nm.preset("FF").acquisition.frame_length_s
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 60, "fluorophore.cycles_before_bleaching": four_frames}
+    )
+    found = nm.infer_photophysics(recorded(model, 300, seed=0), model)
+    cycles = found.values["cycles_before_bleaching"]
+    assert abs(cycles.value - four_frames) < 4 * cycles.sd < 0.4 * four_frames  # by chance once in 16 000
+    assert any("left out" in note for note in found.notes)
+
+
+def test_a_window_before_bleaching_does_not_prolong_lives():
+    """Molecules lit in the 50 frames before they bleach live for 50 frames more than others."""
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 150, "acquisition.shape_px": (160, 160), "sample.n_molecules": 100,
+         "sample.layout": "grid", "excitation.power_density_w_per_cm2": 6.0,
+         "fluorophore.cycles_before_bleaching": 1.2e4}
+    )  # fmt: skip
+    result = nm.simulate(model, seed=0)
+    traces = nm.extract_traces(
+        result.movie, model.camera, positions_px=result.positions_px, psf_sigma_px=model.sigma_px, window=50
+    )
+    found = nm.infer_photophysics(traces, model)
+    cycles = found.values["cycles_before_bleaching"]
+    assert abs(np.log(cycles.value / 1.2e4)) < 3 * cycles.sd / cycles.value < 0.6  # by chance once in 370; 0.67 if not
+    assert any("window = 50" in note for note in found.notes)
+
+
+def test_light_that_hardly_scatters_on_a_high_background_leaves_other_errors_alone():
+    model = nm.preset("FF").with_values(
+        {"acquisition.n_frames": 150, "acquisition.shape_px": (160, 160), "sample.n_molecules": 100,
+         "sample.layout": "grid", "excitation.power_density_w_per_cm2": 6.0, "camera.em_gain": 30.0,
+         "camera.read_noise_e": 10.0, "optics.background_photons_per_px": 200.0,
+         "fluorophore.cycles_before_bleaching": 1.21e4}
+    )  # fmt: skip
+    traces = nm.extract_traces(nm.simulate(model, seed=1).movie, model.camera, psf_sigma_px=model.sigma_px)
+    found = nm.infer_photophysics(traces, model)
+    level = found.values["level_e"]  # its error was 500 times the level, and no rate was told
+    assert level.sd < 0.05 * level.value
+    assert abs(level.value - nm.predict(model).detected_e_per_frame) < 4 * level.sd  # by chance once in 16 000
+    assert found.values["cycles_before_bleaching"].holds(1.21e4)
+
+
+def test_a_background_left_over_is_told_where_nothing_is_dark():
+    model = nm.preset("FF").with_values({"acquisition.n_frames": 40, "fluorophore.cycles_before_bleaching": None})
+    found = nm.infer_photophysics(recorded(model, 20, seed=1), model)
+    assert any("left of the background" in note for note in found.notes)
+
+
 def test_brightness_that_differs_is_no_noise():
     model = nm.preset("FF").with_values(CASES["FF"])
     traces = recorded(model, 120, seed=3) * np.random.default_rng(3).lognormal(0, 0.25, (120, 1))

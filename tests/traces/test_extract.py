@@ -13,6 +13,7 @@ from tests.real_data import real_data
 
 import napari_mufasa as nm
 from napari_mufasa.camera.frames import with_dark_baseline
+from napari_mufasa.spots.evidence import frames_needed
 from napari_mufasa.traces import Options, extract_traces
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
@@ -457,3 +458,14 @@ def test_what_is_held_does_not_grow_with_the_number_of_blocks(monkeypatch):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20e6
+
+
+def test_a_spot_needs_fewer_frames_the_clearer_it_is():
+    """A single frame shows s; a mean over 1, 5 or all 100 frames shows the n lit ones in it as s n / sqrt(frames)."""
+    all_lit = np.array([100, 100, 100, 100])
+    single = np.array([8.0, 3.0, 1.2, np.nan])
+    needed = frames_needed(10 * single, all_lit, 100, level=6.0)
+    np.testing.assert_allclose(needed[:3], [6 / 8, 6 * 5**0.5 / 3, 6 * 10 / 1.2])
+    assert np.isnan(needed[3])  # its place was given
+    # Lit in 20 of the frames: clearest in the mean of 5.
+    np.testing.assert_allclose(frames_needed(np.array([3 * 5**0.5]), np.array([20]), 100, level=6.0), 6 * 5**0.5 / 3)

@@ -77,7 +77,9 @@ class Hidden:
         """(from, to) over the time between frames, in which light falls but none is counted."""
         return np.asarray(expm(self.generator * dead_s))
 
-    def never_seen(self, movie_s: float) -> float:
-        """Chance that a molecule stays dark for the whole movie."""
+    def log_seen(self, movie_s: float, least_s: float) -> float:
+        """Log of the chance that a molecule comes to light within the movie, and shines for `least_s` before it
+        bleaches (in the dark nothing bleaches)."""
         waiting = self.activation if self.activation > 0 else self.back
-        return float((1 - self.starts_bright) * np.exp(-waiting * movie_s))
+        never = (1 - self.starts_bright) * np.exp(-waiting * movie_s)
+        return float(np.log1p(-min(never, 1 - 1e-9)) - self.bleaching * least_s)

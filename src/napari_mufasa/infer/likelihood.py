@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.infer.hidden import Hidden
@@ -24,17 +25,21 @@ LEAST = 1e-2  # events in all traces: the least a rate can be
 MOST_PER_FRAME = 20.0
 NUDGE = 1e-6  # of the logarithms, for first derivatives: a level can be known to one in thousands
 STEP = 0.5  # standard errors, for second ones
+LEAST_BEND = 0.05  # of the log likelihood along any direction, over what the gradients' products say: 1 of a true model
 MOST_STEPS, ENOUGH = 60, 2e-3  # steps of a fit, and the log likelihood below which a step ends it
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Traces (molecule, frame) of photoelectrons, and the timing; molecules that never shone are in it, or not."""
+    """Traces (molecule, frame) of photoelectrons, and the timing.
+
+    least_s : how long a molecule must have shone to be among the traces; None: all molecules are
+    """
 
     traces: Array
     frame_s: float
     dead_s: float
-    all_molecules: bool
+    least_s: float | None
 
     def log_likelihoods(self, hidden: Hidden, level: float, offset: float, noise: Array, factors: Array) -> Array:
         """(molecule,); `noise`: variance of a dark frame, and what a bright one has more."""
@@ -44,9 +49,9 @@ class Problem:
             self.traces, level * factors, offset, noise[0], noise[1] * factors, hidden.within(self.frame_s),
             hidden.widths, hidden.between(self.dead_s), hidden.start,
         )  # fmt: skip
-        if not self.all_molecules:
+        if self.least_s is not None:
             movie_s = self.traces.shape[1] * (self.frame_s + self.dead_s)
-            found = found - np.log1p(-min(hidden.never_seen(movie_s), 1 - 1e-9))
+            found = found - hidden.log_seen(movie_s, self.least_s)
         return np.asarray(found)
 
 
@@ -234,6 +239,11 @@ def _covariance(
             both = each(point + unit[i] + unit[j]).sum() + each(point - unit[i] - unit[j]).sum()
             one = plus[i].sum() + minus[i].sum() + plus[j].sum() + minus[j].sum()
             curvature[i, j] = curvature[j, i] = -(both - one + 2 * middle) / 2
+    # What hardly shows, as the light's own noise on a high background, may bend the likelihood upwards; the gradients'
+    # products say how little is known of it without spoiling the others.
+    products = gradients @ gradients.T
+    if eigh(curvature, products + 1e-9 * np.trace(products) * np.eye(k), eigvals_only=True)[0] < LEAST_BEND:
+        curvature = products
     eigen, vectors = np.linalg.eigh(curvature)
     inverse = vectors @ np.diag(1 / np.maximum(eigen, 1e-9 * max(eigen.max(), 1e-30))) @ vectors.T
     influence = np.zeros((len(names), len(problem.traces)))

@@ -20,11 +20,13 @@ from napari_mufasa.photophysics import rates
 if TYPE_CHECKING:
     from napari_mufasa.traces.dynamics import Dynamics
     from napari_mufasa.traces.extract import TraceSet
+    from napari_mufasa.traces.options import Options
 
 LEAST_MOLECULES = 5
 EVIDENCE = 6.9  # log likelihood that a dark state must add: chance 1 in 1000 with its two rates where there is none
 FEW_EVENTS = 3.0  # events below which only a limit is told
 FAST = 1.0  # switches per frame from which on they show as a dimmer, noisier level
+SURE_SD = 1.0  # above the threshold of detection, from where on most molecules are found
 UNCERTAIN = 1.5  # sd of a logarithm from which on a number is not known
 
 
@@ -74,7 +76,9 @@ def infer_photophysics(
     pixel_share : share of a molecule's light that a trace holds; None: all, or as extracted
     background_subtracted : of traces in ADU, whether the baseline was taken off with the background; None: as
         recorded, with it
-    all_molecules : whether molecules that never shone are among the traces (their places were known)
+    all_molecules : whether all molecules are among the traces, also those that never shone (their places were known);
+        else those that shone in fewer frames than it takes to be found (3, or as extracted) are left out, and the
+        likelihood is that of molecules that shine as long
     progress, cancel : see `simulate`
 
     Raises
@@ -82,12 +86,19 @@ def infer_photophysics(
     MufasaError : fewer than 5 traces, too few frames, traces without light or without noise.
     """
     from napari_mufasa.compare.comparison import is_without_background, to_photoelectrons
-    from napari_mufasa.traces.dynamics import dynamics
+    from napari_mufasa.traces.dynamics import LIT, dynamics
     from napari_mufasa.traces.extract import TraceSet
+    from napari_mufasa.traces.select import Choice
 
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    notes: list[str] = []
+    least_frames: float = Choice.min_lit_frames
     if isinstance(traces, TraceSet):
+        if not traces.options.subtract_background:
+            raise MufasaError("rates are inferred from light alone: extract the traces with their background taken off")
         pixel_share = traces.pixel_share if pixel_share is None else pixel_share
+        least_frames = _least_frames(traces)
+        notes += _chosen(traces.options)
         traces = traces.all_traces[traces.kept]
     without = is_without_background(unit, background_subtracted)
     electrons = to_photoelectrons(traces, model, unit, background_subtracted=without) / (pixel_share or 1.0)
@@ -99,12 +110,25 @@ def infer_photophysics(
     seen = dynamics(electrons.astype(np.float32))
     if not seen.lit.any():
         raise MufasaError("no trace is bright anywhere: check the unit, and that the background was taken off once")
-    timing = model.acquisition
+    timing, least_s = model.acquisition, None
+    if not all_molecules:
+        shone = (seen.snr >= Choice.min_snr) & (seen.lit.sum(axis=1) >= least_frames)
+        if shone.sum() < LEAST_MOLECULES:
+            raise MufasaError(
+                f"{shone.sum()} molecules shine in {least_frames:.0f} frames or more, as it takes to be found: "
+                f"{LEAST_MOLECULES} are needed; give places (positions_px), or record brighter or longer"
+            )
+        if not shone.all():
+            notes.append(
+                f"{(~shone).sum()} molecules that shine in fewer than {least_frames:.0f} frames are left out, and the "
+                "rates allow for it: others as short-lived were not found"
+            )
+        electrons, seen = electrons[shone], seen.of(shone)
+        least_s = (least_frames - 1) * timing.interval_s + LIT * timing.frame_length_s
     problem = Problem(
-        np.ascontiguousarray(electrons), timing.frame_length_s, timing.interval_s - timing.frame_length_s, all_molecules
+        np.ascontiguousarray(electrons), timing.frame_length_s, timing.interval_s - timing.frame_length_s, least_s
     )
     waits = ("activation",) if model.protocol == "PALM" else ()
-    notes: list[str] = []
     tell(0, 3)
     found = fitted(problem, seen, ("bleaching", "off", "back", *waits), cancel)
     tell(1, 3)
@@ -120,10 +144,47 @@ def infer_photophysics(
     best = with_errors(problem, seen, best)
     tell(3, 3)
     values, unknown = _values(best, model, seen, problem, notes)
+    if not best.has("offset"):
+        notes.append(
+            "hardly a frame is dark: what is left of the background, if any, counts as light of the molecules in level "
+            "and k01"
+        )
     if not blinks:
         unknown["isc_ratio"] = "the traces show no dark state between bright frames" + _limit(best, problem)
     notes += _cannot_be_told(model, best)
     return Photophysics(_model(model, values, blinks, notes), values, unknown, tuple(notes), len(electrons))
+
+
+def _least_frames(found: TraceSet) -> float:
+    """In how many frames a molecule must be lit to be surely among the traces: what was asked for, or what the usual
+    one needs to be found by its light."""
+    from napari_mufasa.spots.evidence import frames_needed
+    from napari_mufasa.spots.find import NOISE_SD
+
+    options, table = found.options, found.molecules[found.kept]
+    asked = float(max(options.min_lit_frames, options.window or 0, 1))
+    if options.follow_molecules:
+        return max(asked, float(options.min_found))
+    needed = frames_needed(
+        table["significance"].to_numpy(), table["lit_frames"].to_numpy(), found.all_traces.shape[1],
+        (options.threshold_value or NOISE_SD) + SURE_SD, options.time_block,
+    )  # fmt: skip
+    if options.threshold != "sigma" or not np.isfinite(needed).any():  # places were given
+        return asked
+    return max(asked, float(np.nanmedian(needed)))
+
+
+def _chosen(options: Options) -> list[str]:
+    """What a choice of molecules by what their traces do leaves out, in words."""
+    by = [f"window = {options.window}"] if options.window is not None else []  # of it only the time in light is known
+    by += [f"best = {options.best}"] if options.best is not None else []
+    by += [f"min_steps = {options.min_steps}"] if options.min_steps else []
+    by += [f"max_lit_share = {options.max_lit_share:g}"] if options.max_lit_share < 1 else []
+    if not by:
+        return []
+    return [
+        f"the molecules were chosen by {', '.join(by)}, and rates and level are those of the chosen: extract without"
+    ]
 
 
 def _values(
@@ -149,11 +210,14 @@ def _values(
             continue
         log, sd = best.log(name)
         events = float(np.exp(log)) * bright_s
-        if events < FEW_EVENTS or sd > UNCERTAIN:
+        if events < FEW_EVENTS:
             from scipy import stats
 
-            most = stats.chi2.ppf(0.975, 2 * np.ceil(events) + 2) / 2 / bright_s
+            most = stats.chi2.ppf(0.975, 2 * events + 2) / 2 / bright_s
             unknown[told] = f"about {events:.1f} events were seen in {bright_s:.3g} s of light: below {most:.3g} 1/s"
+            continue
+        if sd > UNCERTAIN:
+            unknown[told] = "the traces do not tell: too faint, or too few frames before molecules go dark"
             continue
         values[told] = _value(log, sd)
         leaves += float(np.exp(log))

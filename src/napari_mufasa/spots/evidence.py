@@ -107,7 +107,7 @@ def search(
     from napari_mufasa.spots import kernels
 
     shape = frames.shape[1:]
-    block = min(block or max(1, -(-frames.n_frames // SHORT_BLOCKS)), frames.n_frames)
+    block = short_block(frames.n_frames, block)
     total, steps = np.zeros(shape, np.float64), np.zeros(shape, np.float64)
     early, late = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     shortest, middle = np.full(shape, -np.inf, np.float32), np.full(shape, -np.inf, np.float32)
@@ -139,6 +139,31 @@ def search(
     # Static structure that is no molecule (uneven light, fixed pattern) limits the long average.
     limited = np.maximum(whole_noise, np.float32(lower_spread(whole)))
     return Evidence(np.maximum(best, whole / limited), np.maximum(best, whole / whole_noise), early, late)
+
+
+def short_block(n_frames: int, asked: int | None = None) -> int:
+    """Frames of a short block."""
+    return min(asked or max(1, -(-n_frames // SHORT_BLOCKS)), n_frames)
+
+
+def frames_needed(
+    significance: NDArray[np.floating], lit_frames: NDArray[np.integer], n_frames: int, level: float,
+    block: int | None = None,
+) -> NDArray[np.float64]:  # fmt: skip
+    """In how many frames (spot,) each spot would have had to be lit to come to a `level` of evidence, from how many it
+    was and its significance.
+
+    Of a mean over T frames, n of them lit, the evidence is min(n, T)/√T of that of a single lit frame; the best of the
+    three T counts.
+    """
+    from napari_mufasa.spots.kernels import MIDDLE
+
+    short = short_block(n_frames, block)
+    scales = np.minimum([short, MIDDLE * short, n_frames], n_frames).astype(np.float64)
+    lit = np.maximum(np.asarray(lit_frames, dtype=np.float64), 1.0)[:, None]
+    single = significance / (np.minimum(lit, scales) / np.sqrt(scales)).max(axis=1)
+    needed = level * np.sqrt(scales) / np.maximum(single, 1e-12)[:, None]
+    return np.asarray(np.where(needed > scales, n_frames, needed).min(axis=1))
 
 
 @dataclass(frozen=True)

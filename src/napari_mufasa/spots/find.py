@@ -20,6 +20,7 @@ from napari_mufasa.spots.evidence import Evidence, Image, lower_spread, peak_off
 
 Threshold = Literal["sigma", "percentile", "otsu", "triangle"]
 THRESHOLDS: tuple[Threshold, ...] = ("sigma", "percentile", "otsu", "triangle")
+NOISE_SD = 6.0  # of the "sigma" threshold
 LEAST_PROMINENCE = 0.2  # of a peak in every direction; isolated spots have 0.3 … 0.7, edges 0.1 ± 0.06
 
 
@@ -108,7 +109,7 @@ def threshold_level(image: Image, method: Threshold, value: float | None) -> flo
 
     check_threshold(method, value)
     if method == "sigma":
-        k = 6.0 if value is None else float(value)
+        k = NOISE_SD if value is None else float(value)
         return max(k, float(np.median(image)) + k * lower_spread(image))
     if method == "percentile":
         return float(np.percentile(image, 98.0 if value is None else float(value)))
