@@ -187,6 +187,14 @@ def test_companions_are_where_molecules_are_and_shine_on_when_these_have_bleache
     close(counts[400:, 30:].mean(axis=1), 0.25 * PHOTONS, 0.02)
 
 
+def test_companions_come_and_go_with_their_molecules():
+    landing = effect("binding", unbinding_rate_per_s=50.0, form="landing")
+    scene = scene_of(plain(n_frames=40).with_effects(landing, effect("dim_companions", brightness=0.2)))
+    n = len(scene.positions_px) // 2
+    np.testing.assert_array_equal(scene.light_of_each[n:], scene.light_of_each[:n])
+    assert (scene.light_of_each == 0).any()
+
+
 # Brightness that wanders --------------------------------------------------------------------------------------
 
 

@@ -196,6 +196,12 @@ def test_dark_frames_share_the_sensor_s_patterns_but_not_the_movie_s_noise():
     assert abs(np.corrcoef(rows[0].ravel(), rows[1].ravel())[0, 1]) < 4 / np.sqrt(480)
 
 
+def test_what_drifts_over_a_movie_of_one_frame_has_not_begun_in_its_dark_frames():
+    one = small("FF", "CCD").in_shape(n_frames=1)
+    drifting = one.with_effects(effect("baseline_drift", drift_adu=8.0))
+    np.testing.assert_array_equal(simulate_dark(drifting, 20, seed=3), simulate_dark(one, 20, seed=3))
+
+
 @pytest.mark.parametrize("n", [0, -3, 1.5, True])
 def test_wrong_number_of_dark_frames_is_refused(n):
     with pytest.raises(MufasaError, match="n_frames"):

@@ -71,7 +71,8 @@ def simulate_pair(
     donor = emission - acceptor
     seen = acceptor + rng.binomial(donor, leakage) if leakage else acceptor
     there = positions if place_in_acceptor is None else place_in_acceptor(positions)
-    right = SimulatedAcquisition(model, there, seed + 2**31)
+    right = SimulatedAcquisition(model, there, seed + 2**31)  # pixels of its own, but the same sample
+    right.scene.show_sample_of(left.scene)
     left.record_instead(donor)
     right.record_instead(seen)
     halves = [np.concatenate([block.movie for _, block in half.blocks()]) for half in (left, right)]

@@ -146,6 +146,8 @@ class Scene:
         n = len(self.positions_px) - sum(other.n_molecules for other in self.populations)
         self.add_molecules(self.positions_px[:n], population)
         self.brightness[-n:] = self.brightness[:n]
+        if self.light_of_each is not None:
+            self.light_of_each[-n:] = self.light_of_each[:n]
         if self.walk_px is not None:
             self.walk_px[:, -n:] = self.walk_px[:, :n]
 
@@ -162,6 +164,12 @@ class Scene:
                 at = at + self.walk_px[frame]
             course[:, frame] = self.light_at(at[:, 0], at[:, 1]) / first
         self.light_each(course)
+
+    def show_sample_of(self, other: Scene) -> None:
+        """Show the same sample as another scene of as many molecules: brightness, motion, stage, focus, and the courses
+        of light and background."""
+        for name in ("brightness", "walk_px", "shift_px", "sigma_px", "light", "background"):
+            setattr(self, name, getattr(other, name))
 
     def light_each(self, course: NDArray[np.float32]) -> None:
         """Multiply the light of each molecule by its course (molecule, frame)."""
@@ -264,9 +272,11 @@ def build_scene(model: Model, positions_px: NDArray[np.floating[Any]], streams: 
 
 
 def _along(n: int, bounds: tuple[float, float]) -> Array:
-    """(n,) places from 0 at the first to 1 at the last one within bounds (start, stop)."""
+    """(n,) places from 0 at the first to 1 at the last one within bounds (start, stop); 0 where that is one place."""
     start, stop = bounds
-    steps = max(stop - start - 1, 1e-9)
+    steps = stop - start - 1
+    if steps < 0.5:
+        return np.zeros(n)
     return np.linspace(-start / steps, (n - 1 - start) / steps, n)
 
 
