@@ -13,8 +13,11 @@ from tests.real_data import real_data
 
 import napari_mufasa as nm
 from napari_mufasa.camera.frames import with_dark_baseline
+from napari_mufasa.optics import spot_images
+from napari_mufasa.spots.aperture import aperture
 from napari_mufasa.spots.evidence import frames_needed
 from napari_mufasa.traces import Options, extract_traces
+from napari_mufasa.traces.extract import _share
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 
@@ -469,3 +472,16 @@ def test_a_spot_needs_fewer_frames_the_clearer_it_is():
     assert np.isnan(needed[3])  # its place was given
     # Lit in 20 of the frames: clearest in the mean of 5.
     np.testing.assert_allclose(frames_needed(np.array([3 * 5**0.5]), np.array([20]), 100, level=6.0), 6 * 5**0.5 / 3)
+
+
+@pytest.mark.parametrize("sigma", [0.7, 1.3, 3.0])
+@pytest.mark.parametrize("profile", ["psf", "sum", "brightest_pixel"])
+def test_a_trace_holds_the_share_of_the_light_that_it_says(profile, sigma):
+    places = 30 + np.random.default_rng(1).uniform(-0.5, 0.5, (200, 2))
+    spots = spot_images(1000 * np.eye(200), places[None], np.full((1, 2), sigma), (61, 61))
+    held = [
+        aperture(place[None], (61, 61), sigma, profile).traces(spot[None])[0][0, 0]
+        for place, spot in zip(places, spots, strict=True)
+    ]
+    error = 4 * np.std(held) / 1000 / np.sqrt(200)  # of the mean of 200 places: by chance once in 16 000
+    assert _share(profile, sigma) == pytest.approx(np.mean(held) / 1000, abs=error + 5e-4)  # the ring's own light

@@ -21,7 +21,19 @@ def pixel_shares(
     return along(offset_y) * along(offset_x)
 
 
+PLACES = (np.arange(21) + 0.5) / 21 - 0.5  # of a spot within its pixel, along an axis
+
+
 def mean_peak_share(sigma_px: float) -> float:
     """Share of a spot's light in its brightest pixel, averaged over the spot's place within that pixel."""
-    offsets = (np.arange(21) + 0.5) / 21 - 0.5
-    return float(pixel_shares(offsets[:, None], offsets[None, :], sigma_px).mean())
+    return float(pixel_shares(PLACES[:, None], PLACES[None, :], sigma_px).mean())
+
+
+def mean_disc_share(sigma_px: float, radius_px: float) -> float:
+    """Share of a spot's light in the pixels whose centres lie within a disc around it, averaged over the spot's place
+    within its pixel."""
+    reach = int(np.ceil(radius_px + 0.5))
+    along = (np.arange(-reach, reach + 1) - PLACES[:, None]).ravel()
+    y, x = along[:, None], along[None, :]
+    inside = pixel_shares(y, x, sigma_px)[y**2 + x**2 <= radius_px**2]
+    return float(inside.sum() / len(PLACES) ** 2)

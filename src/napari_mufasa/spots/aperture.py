@@ -19,6 +19,7 @@ from napari_mufasa.optics.gaussian import pixel_shares
 Profile = Literal["psf", "sum", "brightest_pixel"]
 MIN_RING = 12  # pixels; with fewer undisturbed ones the ring keeps pixels near other molecules too
 WINDOW_SIGMA = 3.0
+DISC_SIGMA = 2.5  # radius of the profile "sum"
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def _profile_weights(
         shares = pixel_shares(offset[..., 0], offset[..., 1], sigma_px) * inside
         return np.asarray(shares / np.maximum((shares**2).sum(axis=1, keepdims=True), 1e-12))
     if profile == "sum":
-        return np.asarray(((offset**2).sum(axis=-1) <= (2.5 * sigma_px) ** 2) * inside * 1.0)
+        return np.asarray(((offset**2).sum(axis=-1) <= (DISC_SIGMA * sigma_px) ** 2) * inside * 1.0)
     return np.asarray((np.all(np.abs(offset - off_centre[:, None]) < 0.5, axis=-1) & inside) * 1.0)
 
 

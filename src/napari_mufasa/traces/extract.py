@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera.frames import Frames, Progress, Unit
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.optics.gaussian import mean_peak_share
+from napari_mufasa.optics.gaussian import mean_disc_share, mean_peak_share
 from napari_mufasa.spots import aperture, drift, find
 from napari_mufasa.traces import select
 from napari_mufasa.traces.candidates import Candidates, followed, standing
@@ -215,7 +215,7 @@ def _share(kind: aperture.Profile, sigma: float) -> float:
     """Share of a molecule's light that a trace holds, averaged over places within a pixel."""
     if kind == "psf":
         return 1.0
-    return mean_peak_share(sigma) if kind == "brightest_pixel" else float(1 - np.exp(-(2.5**2) / 2))
+    return mean_peak_share(sigma) if kind == "brightest_pixel" else mean_disc_share(sigma, aperture.DISC_SIGMA * sigma)
 
 
 def _counter(progress: Progress | None, total: int) -> Callable[[int], None]:
