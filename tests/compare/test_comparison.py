@@ -19,7 +19,7 @@ from napari_mufasa.compare import (
     to_photoelectrons,
 )
 from napari_mufasa.compare.comparison import is_without_background
-from napari_mufasa.compare.distributions import Sample, dwell_frames, until_bleaching
+from napari_mufasa.compare.distributions import Sample, dwell_frames, survival, until_bleaching
 from napari_mufasa.effects import effect_class
 from napari_mufasa.files.traces import read_traces
 from napari_mufasa.files.whole import write_json
@@ -326,3 +326,10 @@ def test_real_egfp_traces_order_and_fit():
     shown = {name: sample.traces for name, sample in few.samples.items()}
     assert difference_interval(shown["measured"], shown["poisson"], shown["sofi"])[1] < 0
     assert few.w1["fitted"] < 1.5 * few.w1["floor"]
+
+
+def test_molecules_that_never_shone_are_not_among_those_not_bleached():
+    traces = np.random.default_rng(1).normal(0, 1, (8, 40))
+    traces[:4, :20] += 50
+    assert (dynamics(traces).first[4:] < 0).all()
+    np.testing.assert_array_equal(survival(dynamics(traces), 40), [1.0] * 20 + [0.0] * 20)

@@ -12,6 +12,7 @@ from scipy import stats
 import napari_mufasa as nm
 from napari_mufasa import MufasaError
 from napari_mufasa.infer.hidden import BLEACHED, BRIGHT, Hidden
+from napari_mufasa.traces.extract import held_share
 
 
 def test_shares_of_a_frame_are_those_of_the_chain():
@@ -213,3 +214,23 @@ def test_what_does_not_show_is_told():
 def test_bad_traces_are_named(shape, words):
     with pytest.raises(MufasaError, match=words):
         nm.infer_photophysics(np.zeros(shape), nm.preset("FF"))
+
+
+def test_traces_of_the_brightest_pixel_hold_a_share_of_the_light(tmp_path):
+    from typer.testing import CliRunner
+
+    from napari_mufasa.cli.app import app
+
+    model = nm.preset("FF").with_values(CASES["FF"])
+    share = held_share("brightest_pixel", model.sigma_px)
+    model.to_json(tmp_path / "model.json")
+    electrons = share * recorded(model, 20, seed=2)
+    molecule, frame = np.indices(electrons.shape)
+    table = np.stack([molecule.ravel(), frame.ravel(), electrons.ravel()], axis=1)
+    np.savetxt(tmp_path / "t.csv", table, delimiter=",", header="molecule,frame,photoelectrons", comments="")
+    paths = [str(tmp_path / name) for name in ("t.csv", "model.json", "out.json")]
+    given = ["infer", paths[0], "--model", paths[1], "--out", paths[2], "--profile", "brightest_pixel"]
+    told = CliRunner().invoke(app, given, catch_exceptions=False)
+    assert told.exit_code == 0
+    found = nm.Model.from_json(paths[2])
+    assert nm.predict(found).k01_per_s == pytest.approx(nm.predict(model).k01_per_s, rel=0.05)

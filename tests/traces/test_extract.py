@@ -17,7 +17,7 @@ from napari_mufasa.optics import spot_images
 from napari_mufasa.spots.aperture import aperture
 from napari_mufasa.spots.evidence import frames_needed
 from napari_mufasa.traces import Options, extract_traces
-from napari_mufasa.traces.extract import _share
+from napari_mufasa.traces.extract import held_share
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 
@@ -484,4 +484,4 @@ def test_a_trace_holds_the_share_of_the_light_that_it_says(profile, sigma):
         for place, spot in zip(places, spots, strict=True)
     ]
     error = 4 * np.std(held) / 1000 / np.sqrt(200)  # of the mean of 200 places: by chance once in 16 000
-    assert _share(profile, sigma) == pytest.approx(np.mean(held) / 1000, abs=error + 5e-4)  # the ring's own light
+    assert held_share(profile, sigma) == pytest.approx(np.mean(held) / 1000, abs=error + 5e-4)  # the ring's own light

@@ -10,7 +10,7 @@ import typer
 
 from napari_mufasa.cli import console
 from napari_mufasa.cli.measuring import trace_table
-from napari_mufasa.cli.options import CameraName, DarkFile, ModelFile, MovieFile, Overwrite, TraceUnit
+from napari_mufasa.cli.options import CameraName, DarkFile, ModelFile, MovieFile, Overwrite, TraceProfile, TraceUnit
 
 if TYPE_CHECKING:
     from napari_mufasa.calibrate.found import Calibration
@@ -129,6 +129,7 @@ def infer(
     model: ModelFile,
     out: Annotated[Path, typer.Option("--out", metavar="model.json", help="The model with what was inferred.")],
     unit: TraceUnit = None,
+    profile: TraceProfile = None,
     all_molecules: Annotated[
         bool, typer.Option("--all-molecules", help="Molecules that never shone are among the traces.")
     ] = False,
@@ -138,18 +139,20 @@ def infer(
     """Infer brightness, bleaching, dark state and activation from traces, and say what cannot be told apart."""
     from napari_mufasa.infer import infer_photophysics
     from napari_mufasa.model.model import Model
+    from napari_mufasa.traces.extract import held_share
 
     console.check_apart(out, report)
     for path in (out, report):
         if path is not None:
             console.check_file_out(path, overwrite)
             console.check_not_read(path, traces, model)
-    table = trace_table(traces, unit, None, None)
+    table = trace_table(traces, unit, profile, None)
     believed = Model.from_json(model)
+    share = held_share(table["profile"], believed.sigma_px)
     with console.working("inferring") as work:
         found = infer_photophysics(
             table["traces"], believed, unit=table["unit"], background_subtracted=table["background_subtracted"],
-            all_molecules=all_molecules, **work.both(),
+            pixel_share=share, all_molecules=all_molecules, **work.both(),
         )  # fmt: skip
     typer.echo(f"{traces}: {found.n_molecules} molecules")
     console.tell_origin(_written(found, "inferred", out, report), believed, (traces, model))

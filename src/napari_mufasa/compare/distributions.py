@@ -102,8 +102,8 @@ def dwell_frames(lit: NDArray[np.bool_], state: bool) -> NDArray[np.int64]:
 
 
 def survival(dynamics: Dynamics, n_frames: int) -> NDArray[np.float64]:
-    """Share of molecules not bleached in each frame."""
-    bleached = dynamics.bleaching_frame
+    """Share of molecules not bleached in each frame, of those that shone: of others nobody knows whether they had."""
+    bleached = dynamics.bleaching_frame[dynamics.first >= 0]
     end = np.where(bleached >= 0, bleached, n_frames + 1)
     return np.asarray((end[:, None] > np.arange(n_frames)).mean(axis=0)) if len(end) else np.full(n_frames, np.nan)
 

@@ -141,7 +141,7 @@ def extract_traces(
         background_e=float(np.median(measured.background)) if measured.background.size else measured.mean_e,
         noise_e=measured.noise_e,
         sigma_px=sigma,
-        pixel_share=_share(options.profile, sigma),
+        pixel_share=held_share(options.profile, sigma),
         options=options,
         drift_px=motion,
         path_px=seen.path_px,
@@ -211,7 +211,7 @@ def _inside(positions: NDArray[np.float64], roi: Any, shape_px: tuple[int, int])
     return np.asarray(mask[y, x])
 
 
-def _share(kind: aperture.Profile, sigma: float) -> float:
+def held_share(kind: aperture.Profile, sigma: float) -> float:
     """Share of a molecule's light that a trace holds, averaged over places within a pixel."""
     if kind == "psf":
         return 1.0
