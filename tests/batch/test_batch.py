@@ -144,7 +144,8 @@ def test_a_model_that_cannot_be_a_movies_is_told_with_the_movie(folder, capsys):
     ("options", "word"),
     [
         (("--do", "sleep"), "sleep"), (("--do", ","), "--do"), (("--effects", "magic"), "magic"),
-        (("--model", "no.json"), "no.json"),
+        (("--model", "no.json"), "no.json"), (("--do", "traces", "--effects", "stage_drift"), "uses effects"),
+        (("--do", "traces", "--method", "pure-let"), "uses method"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line(folder, capsys, options, word):

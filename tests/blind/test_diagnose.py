@@ -111,6 +111,11 @@ def test_by_hand_add_undo_and_refine_agree():
     assert by_name.error["after"] < 0.8 * by_name.error["before"]
 
 
+def test_an_effect_is_added_by_hand_once():
+    with pytest.raises(nm.MufasaError, match="row_noise is added twice"):
+        refine(np.zeros((30, 16, 16), np.uint16), nm.preset("FF"), ["row_noise", "laser_drift", "row_noise"])
+
+
 def test_a_diagnosis_can_be_cancelled_and_reports_progress():
     movie, model, dark = hidden([], seed=5)
     seen = []

@@ -54,6 +54,10 @@ def run(
     checks.whole(settings.seed, "seed", 0)
     for step in settings.steps:
         checks.choice(step, "step", tuple(STEPS))
+    if idle := settings.without_use:
+        raise MufasaError(
+            f"none of the steps {', '.join(settings.steps)} uses {', '.join(idle)}: drop it, or add a step"
+        )
     _check_effects(settings)
     models = {path: _model(path) for path in {entry.model for entry in entries}}
     identities = [{step: _identity(e, models[e.model], settings, step) for step in settings.steps} for e in entries]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -28,3 +28,9 @@ class Settings:
             "diagnose": ("seed", "effects", "budget"),
         }[step]  # fmt: skip
         return {name: value for name, value in asdict(self).items() if name in names}
+
+    @property
+    def without_use(self) -> list[str]:
+        """Options that were changed though no step depends on them; a seed says nothing of what is wanted."""
+        used = {"steps", "seed"}.union(*(self.of(step) for step in self.steps))
+        return [f.name for f in fields(self) if f.name not in used and getattr(self, f.name) != f.default]

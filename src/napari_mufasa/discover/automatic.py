@@ -215,6 +215,8 @@ def refine(
         raise MufasaError("nothing to add: give `add`, a list of kinds of effects, or of effects")
     kinds = [a if isinstance(a, str) else a.kind for a in add]
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
+    if twice := sorted({kind for kind in kinds if kinds.count(kind) > 1}):
+        raise MufasaError(f"{twice[0]} is added twice: give one of each kind")
     for kind in {effect.kind for effect in model.effects} & set(kinds):
         raise MufasaError(f"{kind} is in the model already: take it out there first, or add another effect")
     inquiry = Investigation(
