@@ -67,10 +67,12 @@ def quiet_pixels(mean: Array) -> NDArray[np.bool_]:
         return np.ones(mean.shape, dtype=bool)
     level = ndimage.median_filter(mean, QUIET_PX, mode="nearest")
     above = mean - level
-    # Brighter parts of the field are noisier: what is much in the dark is nothing there.
+    # Brighter parts of the field are noisier: what is much in the dark is nothing there. Neighbours tell noise from what
+    # is broader.
+    rough = np.abs(np.diff(mean, axis=0, append=mean[-2:-1])) / np.sqrt(2)
     spread = np.empty_like(mean)
     for members in np.array_split(np.argsort(level, axis=None), LEVELS):
-        spread.flat[members] = 1.4826 * np.median(np.abs(above.flat[members]))
+        spread.flat[members] = 1.4826 * np.median(rough.flat[members])
     # A spot is broad: single pixels that stick out by chance or by pattern are no spots.
     spots = ndimage.uniform_filter(above, 3) > QUIET_SD / 2 * spread
     return np.asarray(~ndimage.binary_dilation(spots, iterations=2))
