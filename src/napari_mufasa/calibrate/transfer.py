@@ -67,8 +67,8 @@ def quiet_pixels(mean: Array) -> NDArray[np.bool_]:
         return np.ones(mean.shape, dtype=bool)
     level = ndimage.median_filter(mean, QUIET_PX, mode="nearest")
     above = mean - level
-    # Brighter parts of the field are noisier: what is much in the dark is nothing there. Neighbours tell noise from what
-    # is broader.
+    # Brighter parts of the field are noisier: what is much in the dark is nothing there. Neighbours tell noise from
+    # what is broader.
     rough = np.abs(np.diff(mean, axis=0, append=mean[-2:-1])) / np.sqrt(2)
     spread = np.empty_like(mean)
     for members in np.array_split(np.argsort(level, axis=None), LEVELS):
