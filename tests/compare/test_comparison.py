@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,14 @@ import napari_mufasa as nm
 from napari_mufasa.compare import (
     compare_movie,
     compare_traces,
+    comparison,
     difference_interval,
     distributions,
     to_photoelectrons,
 )
 from napari_mufasa.compare.comparison import is_without_background
 from napari_mufasa.compare.distributions import Sample, dwell_frames, survival, until_bleaching
+from napari_mufasa.compare.fit import Fit
 from napari_mufasa.effects import effect_class
 from napari_mufasa.files.traces import read_traces
 from napari_mufasa.files.whole import write_json
@@ -64,6 +67,17 @@ def test_the_fit_knows_the_brightness(bleaching):
     assert fitted / true["photons_per_s_per_molecule"] == pytest.approx(1.0, abs=0.1)
     background = found.fit.model.optics.background_photons_per_px
     assert background / true["background_photons_per_px"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_fit_that_leads_away_is_told_and_not_offered(bleaching, monkeypatch):
+    _, model, found = bleaching
+    assert found.nearer == "fitted" and comparison.FIT_FAILED not in found.notes
+    brighter = model.with_values({"optics.brightness_correction": 3 * model.optics.brightness_correction})
+    monkeypatch.setattr(comparison, "fit_model", lambda traces, believed, simulate: Fit(brighter, {}))
+    led_away = compare_traces(found.samples["measured"].traces, model, seed=1, n_bootstrap=5)
+    assert led_away.nearer == "mufasa" and led_away.report()["notes"][-1] == comparison.FIT_FAILED
+    unseen = replace(led_away, w1=led_away.w1 | {"mufasa": None})  # the model as it is shows no molecule
+    assert unseen.nearer == "fitted"
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -28,6 +28,10 @@ from napari_mufasa.traces.select import windows
 
 Progress = Callable[[int, int], None]
 Cancel = Callable[[], bool]
+FIT_FAILED = (
+    "fitting brightness, background and bleaching does not bring this model nearer: their means are those of the "
+    "measurement, the law is not, or the molecules are too few"
+)
 ENOUGH_MOLECULES, MOST_MOVIES = 600, 4  # simulated behind a W1 and a fit; movies made to get there
 
 
@@ -55,6 +59,15 @@ class Comparison:
     fit: Fit | None = None
     measured: TraceSet | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def nearer(self) -> str:
+        """Which is nearer to the measurement, the model ("mufasa") or the fitted one ("fitted"); that where both are
+        within the range of the floor."""
+        model, fitted = self.w1["mufasa"], self.w1.get("fitted")
+        if fitted is None or (model is not None and fitted > max(model, self.floor.high)):
+            return "mufasa"
+        return "fitted"
 
     def report(self) -> dict[str, Any]:
         """Plain data for report.json (docs/files.md)."""
@@ -334,7 +347,10 @@ def _compare(
     w1_traces |= {"floor": floor(real, rows="traces", n_splits=20, rng=rng).value, "unit": f"{unit}, whole traces"}
     shown = {name: s for name, s in samples.items() if len(s.traces)}
     curves = distributions(shown, unit, model.acquisition.interval_s)
-    return Comparison(w1, w1_traces, interval, bottom, samples, curves, model, fitted, measured, notes)
+    found = Comparison(w1, w1_traces, interval, bottom, samples, curves, model, fitted, measured, notes)
+    if fitted is not None and found.nearer == "mufasa":
+        found = replace(found, notes=(*notes, FIT_FAILED))
+    return found
 
 
 def _most_frequent(measured: TraceSet) -> str:

@@ -105,12 +105,12 @@ class ComparePanel(Panel):
         comparison: Comparison = ours(layers[0])["comparison"]
         self.comparison = comparison
         self.result.say(comparison_table(comparison))
-        self.use_button.setVisible(comparison.fit is not None)
+        self.use_button.setVisible(comparison.nearer == "fitted")
         self.export_button.setEnabled(True)
         self.distances.draw(drawing("w1_bars", comparison.w1), pd.DataFrame([comparison.w1]))
         self._show_curves()
-        best = "fitted" if comparison.fit is not None else "mufasa"
-        self._show_traces(comparison.samples["measured"].traces, comparison.samples[best].traces, MODELS[best])
+        nearer = comparison.nearer
+        self._show_traces(comparison.samples["measured"].traces, comparison.samples[nearer].traces, MODELS[nearer])
         if comparison.measured is not None:
             self.session.set_traces(comparison.measured)
 
