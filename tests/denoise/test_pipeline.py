@@ -90,6 +90,20 @@ def test_a_movie_whose_noise_is_not_the_cameras_is_left_as_it_was_recorded():
     np.testing.assert_array_equal(found, nm.denoise(movie, model.camera, method="none"))
 
 
+@pytest.mark.parametrize("said_e", [5.4, 7.7])
+def test_a_movie_of_less_noise_than_its_camera_says_is_denoised_by_the_noise_it_has(said_e):
+    # 120 000 values: the variance is known to 0.4 %, the share is halved down to 2 %.
+    truth, camera = blobs() * 20.0, CCD.model_copy(update={"read_noise_e": 4.0})
+    counts = record(truth, camera, np.random.default_rng(4))
+    light = camera.quantum_efficiency * truth.mean()
+    with pytest.warns(UserWarning, match="less noise than its camera says") as told:
+        found = nm.denoise(counts, camera.model_copy(update={"read_noise_e": said_e}))
+    less = float(str(told[0].message).split(" %")[0].split()[-1])
+    assert less == pytest.approx(100 * (1 - (light + 4.0**2) / (light + said_e**2)), abs=3)
+    recorded = nm.denoise(counts, camera, method="none")
+    assert np.mean((found - truth) ** 2) < 0.01 * np.mean((recorded - truth) ** 2)
+
+
 @pytest.mark.parametrize("speed", [0.0, 1.0])
 @pytest.mark.parametrize("peak", [3.0, 20.0])
 def test_neighbouring_frames_help_and_never_smear(speed, peak):

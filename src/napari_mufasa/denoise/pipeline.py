@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
     from napari_mufasa.model.setup import Camera
 
+    from .temporal import Learnt
+
     Array = NDArray[Any]
 
 Method = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "none"]
@@ -36,6 +38,9 @@ Method = Literal["pure-let", "pure-let-movie", "pure-let-patches", "source", "no
 SAMPLES = 16
 #: Frames that settle how far the second pass goes.
 PATCH_SAMPLES = 4
+#: Of the noise that the camera says, where there cannot be as much: the least that is tried, and how often the way to
+#: it is halved (each time in logarithms: to 2 %).
+LEAST_SHARE, HALVINGS = 0.25, 6
 #: Frames in work at once.
 WORKERS = max(1, min(4, os.cpu_count() or 1))
 
@@ -205,6 +210,7 @@ class _Frames:
         from .temporal import NEIGHBOURS, Learnt
 
         self.learnt = Learnt(None, 1.0, 0.0, 0.0)
+        self.share = 1.0  # of the noise that the camera says
         self.way = 0.0
         self.gain_db = 0.0
 
@@ -229,10 +235,12 @@ class _Frames:
         """Noise of one frame of photoelectrons, or a tile of it; the read noise is seen through the gain's slope."""
         from .noise import Noise
 
-        return Noise(self.alpha, read_variance(electrons, part_of(self.camera, tile)), self.multiplied)
+        variance = read_variance(electrons, part_of(self.camera, tile))
+        return Noise(self.alpha * self.share, variance * np.float32(self.share), self.multiplied)
 
     def learn(self, cancel: Callable[[], bool] | None) -> None:
-        """Weights of least pooled risk over frames spread evenly through the movie."""
+        """Weights of least pooled risk over frames spread evenly through the movie; where there is less noise than the
+        camera says, with as much as there can be."""
         if self.method in ("source", "none"):
             return
         from . import temporal
@@ -250,13 +258,17 @@ class _Frames:
                 found += [one for _, one in temporal.sights(data, t - first, t - first + 1, noise, self.neighbours)]
             return found
 
-        with ThreadPoolExecutor(max_workers=WORKERS) as pool:
-            sights = [one for found in pool.map(seen, range(len(chosen)), chosen) for one in found]
-            self.learnt = temporal.learn(sights, depth_for(self.shape[1:], LEVELS, False), pool.map)
+        def learnt() -> Learnt:
+            with ThreadPoolExecutor(max_workers=WORKERS) as pool:
+                sights = [one for found in pool.map(seen, range(len(chosen)), chosen) for one in found]
+                return temporal.learn(sights, depth_for(self.shape[1:], LEVELS, False), pool.map)
+
+        self.learnt = learnt()
         if self.learnt.is_impossible:
+            self._learn_with_less_noise(learnt)
+        if (wrong := self._wrong_noise()) is not None:
             warnings.warn(
-                "the movie is left as it was recorded: its noise is not what the camera says; measure that "
-                "(`calibrate`), or set its read noise and electrons per count to what they are",
+                f"{wrong}; measure that (`calibrate`), or set its read noise and electrons per count to what they are",
                 stacklevel=4,
             )
         if self.learnt.weights is not None:
@@ -265,6 +277,29 @@ class _Frames:
         if self.method == "pure-let-patches" and self.learnt.weights is not None:
             some = temporal.sample_frames(self.shape[0], PATCH_SAMPLES)
             self.way = float(np.mean([self._way(t, cancel) for t in some]))
+
+    def _learn_with_less_noise(self, learnt: Callable[[], Learnt]) -> None:
+        """Find the most noise with which the risk is not estimated below zero; nothing changes where there is none."""
+        low, high = LEAST_SHARE, 1.0
+        self.share = low
+        if (best := learnt()).risk < 0:
+            return
+        for _ in range(HALVINGS):
+            self.share = math.sqrt(low * high)
+            tried = learnt()
+            if tried.risk < 0:
+                high = self.share
+            else:
+                low, best = self.share, tried
+        self.share, self.learnt = low, best
+
+    def _wrong_noise(self) -> str | None:
+        """In words, that the camera's noise is not the movie's; None where it may be."""
+        if self.learnt.is_impossible:
+            return "the movie is left as it was recorded: its noise is not what the camera says"
+        if self.share < 1.0:
+            return f"the movie has some {100 * (1 - self.share):.0f} % less noise than its camera says, and is taken so"
+        return None
 
     def _way(self, t: int, cancel: Callable[[], bool] | None) -> float:
         """How far the second pass should go, judged on the middle of frame ``t``."""
