@@ -185,7 +185,7 @@ BAD_COMMANDS: dict[str, tuple[str, str]] = {
     "a truth over its positions": (
         "simulate --preset FF --positions in/positions.csv --truth in --overwrite --out out/m.tif", "is also read",
     ),
-    "diagnosing one frame": ("diagnose in/one.tif --model good/model.json --out out/d", "frames"),
+    "diagnosing one frame": ("diagnose in/one.tif --model good/model.json --out out/d", "1 frame:"),
     "diagnosing a narrow field": ("diagnose in/narrow.tif --model good/model.json --out out/d", "at least 24 × 24"),
     "counts beyond the camera": ("diagnose good/movie.tif --model in/eight.json --out out/d", "adc_max"),
     "dark frames too few": (
