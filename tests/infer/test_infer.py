@@ -112,16 +112,20 @@ def test_a_molecule_that_fits_badly_does_not_hold_up_the_fit():
         assert abs(value.value - truths(model)[name]) < 4 * value.sd, name
 
 
-def test_molecules_of_a_movie():
+def extracted(cycles, seed, **options):
+    """A model of 100 molecules that bleach after so many cycles, and their traces from its movie."""
     model = nm.preset("FF").with_values(
         {"acquisition.n_frames": 150, "acquisition.shape_px": (160, 160), "sample.n_molecules": 100,
          "sample.layout": "grid", "excitation.power_density_w_per_cm2": 6.0,
-         "fluorophore.cycles_before_bleaching": 1.5e4}
+         "fluorophore.cycles_before_bleaching": cycles}
     )  # fmt: skip
-    result = nm.simulate(model, seed=5)
-    traces = nm.extract_traces(
-        result.movie, model.camera, positions_px=result.positions_px, psf_sigma_px=model.sigma_px
-    )
+    result = nm.simulate(model, seed=seed)
+    places = {"positions_px": result.positions_px, "psf_sigma_px": model.sigma_px}
+    return model, nm.extract_traces(result.movie, model.camera, **places, **options)
+
+
+def test_molecules_of_a_movie():
+    model, traces = extracted(cycles=1.5e4, seed=5)
     found = nm.infer_photophysics(traces, model)
     told = truths(model)
     assert found.values["level_e"].value == pytest.approx(told["level_e"], rel=0.05)
@@ -143,15 +147,7 @@ def test_molecules_too_short_lived_to_be_found_are_allowed_for():
 
 def test_a_window_before_bleaching_does_not_prolong_lives():
     """Molecules lit in the 50 frames before they bleach live for 50 frames more than others."""
-    model = nm.preset("FF").with_values(
-        {"acquisition.n_frames": 150, "acquisition.shape_px": (160, 160), "sample.n_molecules": 100,
-         "sample.layout": "grid", "excitation.power_density_w_per_cm2": 6.0,
-         "fluorophore.cycles_before_bleaching": 1.2e4}
-    )  # fmt: skip
-    result = nm.simulate(model, seed=0)
-    traces = nm.extract_traces(
-        result.movie, model.camera, positions_px=result.positions_px, psf_sigma_px=model.sigma_px, window=50
-    )
+    model, traces = extracted(cycles=1.2e4, seed=0, window=50)
     found = nm.infer_photophysics(traces, model)
     cycles = found.values["cycles_before_bleaching"]
     assert abs(np.log(cycles.value / 1.2e4)) < 3 * cycles.sd / cycles.value < 0.6  # by chance once in 370; 0.67 if not
