@@ -8,7 +8,7 @@ import pytest
 import napari_mufasa as nm
 from napari_mufasa.calibrate import calibrate, rows, unlit
 from napari_mufasa.calibrate.codes import code_widths
-from napari_mufasa.calibrate.dark import measure_dark
+from napari_mufasa.calibrate.dark import DarkFrames, measure_dark
 from napari_mufasa.calibrate.sample import leading_dark_frames
 
 SPOT = np.exp(-((np.arange(11) - 5.0)[:, None] ** 2 + (np.arange(11) - 5.0) ** 2) / (2 * 1.3**2))
@@ -60,7 +60,9 @@ def test_the_read_noise_of_a_few_dark_frames_is_not_that_of_whole_counts(n_frame
     whose terms scatter by 5 % at most."""
     rng = np.random.default_rng(3)
     found = [
-        measure_dark(np.floor(rng.normal(100 + rng.uniform(), read_noise_adu, (n_frames, 32, 32))), False).read_noise
+        measure_dark(
+            DarkFrames.of([np.floor(rng.normal(100 + rng.uniform(), read_noise_adu, (n_frames, 32, 32)))]), False
+        ).read_noise
         for _ in range(100)
     ]
     assert np.mean([value.value for value in found]) == pytest.approx(read_noise_adu, rel=0.03)
@@ -70,13 +72,14 @@ def test_the_read_noise_of_a_few_dark_frames_is_not_that_of_whole_counts(n_frame
 def test_few_dark_frames_tell_read_noise_from_pattern():
     rng = np.random.default_rng(4)
     dark = np.floor(100 + rng.normal(0, 20, (32, 32)) + rng.normal(0, 3, (2, 32, 32)))
-    assert measure_dark(dark, False).read_noise.value == pytest.approx(3.0, rel=0.2)  # 5 sd of 2048 counts
+    found = measure_dark(DarkFrames.of([dark]), False).read_noise
+    assert found.value == pytest.approx(3.0, rel=0.2)  # 5 sd of 2048 counts
 
 
 def test_an_alternating_baseline_does_not_move_the_mean_of_an_odd_number_of_dark_frames():
     rng = np.random.default_rng(5)
     even = 3 * (1 - 2 * (np.arange(7) % 2))[:, None, None]
-    found = measure_dark(np.floor(rng.normal(100, 3, (7, 64, 64))) + even, False)
+    found = measure_dark(DarkFrames.of([np.floor(rng.normal(100, 3, (7, 64, 64))) + even]), False)
     assert found.alternation.value == pytest.approx(3.0, abs=0.1)
     assert found.baseline.value == pytest.approx(100.0, abs=5 * 3 / np.sqrt(7 * 64 * 64))
 
@@ -152,7 +155,7 @@ def test_uneven_light_makes_no_correlation_of_neighbours():
     z = []
     for _ in range(60):
         noise = (rng.normal(0, 1, (20, 48, 64)) * np.sqrt(variance)).astype(np.float32)
-        found = rows.correlations(noise[2:] - 2 * noise[1:-1] + noise[:-2], None, (1, -2, 1))
+        found = rows.Products.of(noise[2:] - 2 * noise[1:-1] + noise[:-2]).correlations((1, -2, 1))
         z.append((found.row - found.column) / (np.sqrt(2) * found.sd))
     assert np.std(z) == pytest.approx(1.0, abs=0.2)
 

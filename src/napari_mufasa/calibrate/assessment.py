@@ -213,7 +213,7 @@ def _base(dark: Dark | None, assumed: Assumed) -> tuple[Value, float]:
     if assumed.baseline_adu is not None:
         return Value(float(assumed.baseline_adu), float("nan")), float(assumed.baseline_adu) - 0.5
     assert dark is not None
-    return dark.baseline, float(dark.mean_map.mean()) if dark.fit is None else dark.level
+    return dark.baseline, dark.mean_adu if dark.fit is None else dark.level
 
 
 def _check_brighter(light: Light, level: float, level_sd: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ LEAST_PIXELS = 4  # that show it
 ROOM_SD = 5.0  # below the top, for a pixel to be free of it
 
 
-def code_widths(stacks: Sequence[Any]) -> tuple[float, ...]:
+def code_widths(stacks: Iterable[Any]) -> tuple[float, ...]:
     """Widths of the codes modulo `PERIOD`, of mean 1, from counts spread over more than a period; () where they are
     even, or cannot be told.
 
@@ -41,12 +41,12 @@ def code_widths(stacks: Sequence[Any]) -> tuple[float, ...]:
     return tuple(round(float(width), 4) for width in found / even)
 
 
-def saturation_adu(stacks: Sequence[Any]) -> float | None:
-    """The count at which values pile up in several pixels of (frame, pixel) stacks; None where they do not: a single
-    pixel may be stuck anywhere."""
-    top = float(max(np.max(stack) for stack in stacks))
-    at = sum(np.sum(stack >= top, axis=0) for stack in stacks)
-    near = sum(int(np.sum((stack >= top - 16) & (stack < top))) for stack in stacks)
+def saturation_adu(chunks: Sequence[NDArray[Any]], pixels: NDArray[np.bool_]) -> float | None:
+    """The count at which values pile up in several of the `pixels` (y, x) of chunks (frame, y, x); None where they do
+    not: a single pixel may be stuck anywhere."""
+    top = float(max(np.max(chunk, axis=0)[pixels].max() for chunk in chunks))
+    at = sum(np.sum(chunk >= top, axis=0)[pixels] for chunk in chunks)
+    near = sum(int(np.sum((chunk >= top - 16) & (chunk < top), axis=0)[pixels].sum()) for chunk in chunks)
     piled = np.sum(at) > max(LEAST_COUNTS, PILED_UP * near / 16) and np.count_nonzero(at) >= LEAST_PIXELS
     return top if piled else None
 

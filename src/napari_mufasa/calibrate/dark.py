@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +12,15 @@ from numpy.typing import NDArray
 from napari_mufasa.calibrate import histogram
 from napari_mufasa.calibrate.histogram import Fit
 from napari_mufasa.calibrate.law import Law
-from napari_mufasa.calibrate.rows import Correlations, correlations
+from napari_mufasa.calibrate.rows import Correlations, Products
+from napari_mufasa.calibrate.sample import counts, window
 from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
 from napari_mufasa.errors import MufasaError
 
 TAIL_SD = 5.0
+MOST_COUNTS = 2**24  # that are looked at one by one …
+LEAST_CHOSEN = 16  # … of so many frames at least
+READ_BYTES = 2**25  # at a time
 LEAST_FRAMES = 5  # for what needs each pixel's own mean
 MEDIAN_ERROR = 1.17  # standard error of a normal sd that is told by the median, times √n over the sd
 SURE = 3.5  # standard errors from which on an alternation is believed
@@ -51,9 +56,11 @@ class Dark:
     variance : of a pixel in time, ADU², all of it
     rows : correlations of neighbours, None where frames are too few
     fit : the law against the histogram, None where frames are too few
+    n_frames : how many there are
     stray : where the histogram shows that the frames are not quite dark; baseline and read noise are then those of the
         frames as they are, electrons included
-    pixels : (y, x) of a map that is used below: mean, and variance in time (ADU², None where frames are too few)
+    offset_map, variance_map : (y, x) of each pixel, above the mean and in time (ADU², None where frames are too few)
+    mean_adu : recorded, electrons included
     """
 
     baseline: Value
@@ -66,8 +73,10 @@ class Dark:
     variance: float
     rows: Correlations | None
     fit: Fit | None
-    mean_map: NDArray[np.float64]
+    offset_map: NDArray[np.float64]
     variance_map: NDArray[np.float64] | None
+    mean_adu: float
+    n_frames: int
     stray: Stray | None = None
 
     @property
@@ -77,38 +86,83 @@ class Dark:
         return self.baseline.value - 0.5 + (single if np.isfinite(single) else 0.0)
 
 
-def checked_dark(dark: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Dark frames (frame, y, x); raises `MufasaError` where they do not fit the movie."""
-    from napari_mufasa.calibrate.sample import counts
+@dataclass(frozen=True)
+class DarkFrames:
+    """What is looked at of frames without light, ADU.
 
-    found = counts(dark, "dark frames").astype(np.float64)
-    if found.ndim != 3 or found.shape[1:] != tuple(shape):
-        raise MufasaError(f"dark has shape {found.shape}, the movie's frames are {tuple(shape)}: give the same region")
-    if found.size == 0:
-        raise MufasaError(f"dark has shape {found.shape}: give at least one dark frame, better 50")
-    return found
+    per_frame (frame,) : mean of each, over `pixels` (y, x) · offset_map, variance_map (y, x) : mean of each pixel, and
+    variance in time (ADU²), both beside what its frame has in common · some (frame, y, x) : counts that are looked at
+    one by one, of frames spread over all, within `region`, what their frame has in common taken off
+    """
+
+    per_frame: NDArray[np.float64]
+    offset_map: NDArray[np.float64]
+    variance_map: NDArray[np.float64]
+    some: NDArray[np.float32]
+    region: tuple[slice, slice]
+    pixels: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, stacks: Sequence[Any], pixels: NDArray[np.bool_] | None = None) -> DarkFrames:
+        """Of stacks of counts (frame, y, x) that follow one another, arrays or lazy ones; `pixels` (y, x): dark is only
+        what lies there, else the `window` is looked at. Held are `MOST_COUNTS` of them as float32 and a few maps."""
+        shape = tuple(stacks[0].shape[1:])
+        n, region = sum(len(stack) for stack in stacks), window(shape)
+        mask = np.zeros(shape, dtype=bool)
+        mask[region] = True
+        each, mask = int(mask.sum()), mask if pixels is None else pixels
+        chosen = set(np.linspace(0, n - 1, max(LEAST_CHOSEN, MOST_COUNTS // each)).astype(int).tolist())
+        per_frame, some = np.zeros(n), []
+        first: NDArray[np.float64] | float = 0.0
+        total, squares = np.zeros(shape), np.zeros(shape)
+        for t, frame in enumerate(_frames_of(stacks)):
+            per_frame[t] = frame[mask].mean()
+            frame -= per_frame[t]
+            if t in chosen:
+                some.append(frame[region].astype(np.float32))
+            first = frame.copy() if t == 0 else first
+            frame -= first  # sums of what is small: they keep their digits
+            total += frame
+            squares += frame**2
+        variance = np.maximum(squares - total**2 / n, 0.0) / max(n - 1, 1)
+        return cls(per_frame, first + total / n, variance, np.stack(some), region, mask)
+
+
+def _frames_of(stacks: Sequence[Any]) -> Iterator[NDArray[np.float64]]:
+    """Frame by frame, read a few at a time."""
+    for stack in stacks:
+        step = max(1, READ_BYTES // max(8 * int(np.prod(stack.shape[1:])), 1))
+        for start in range(0, len(stack), step):
+            yield from counts(stack[start : start + step], "dark frames").astype(np.float64)
+
+
+def checked_dark(dark: Any, shape: tuple[int, ...]) -> DarkFrames:
+    """Dark frames (frame, y, x); raises `MufasaError` where they do not fit the movie."""
+    found = tuple(dark.shape)
+    if len(found) != 3 or found[1:] != tuple(shape):
+        raise MufasaError(f"dark has shape {found}, the movie's frames are {tuple(shape)}: give the same region")
+    if 0 in found:
+        raise MufasaError(f"dark has shape {found}: give at least one dark frame, better 50")
+    return DarkFrames.of([dark])
 
 
 def measure_dark(
-    dark: NDArray[np.float64], register: bool, pixels: NDArray[np.bool_] | None = None, charge_e: float | None = None,
-    weights: tuple[float, ...] = (1.0,),
-) -> Dark:  # fmt: skip
-    """Everything that dark frames (frame, y, x) tell; `pixels` (y, x): only there.
+    dark: DarkFrames, register: bool, charge_e: float | None = None, weights: tuple[float, ...] = (1.0,)
+) -> Dark:
+    """Everything that dark frames tell.
 
     register : the camera multiplies, so that single electrons show
     charge_e : spurious electrons are not measured but taken so (0: none)
     weights : what the read-out makes of an electron (see `Law`)
     """
-    n = len(dark)
-    mask = np.ones(dark.shape[1:], dtype=bool) if pixels is None else pixels
-    per_frame = dark[:, mask].mean(axis=1)
-    mean_map = dark.mean(axis=0)
+    n, n_some, per_frame = len(dark.per_frame), len(dark.some), dark.per_frame
+    mask = dark.pixels[dark.region]
     if n < LEAST_FRAMES:
-        return _few(dark[:, mask], per_frame, mean_map)
-    flat = dark - per_frame[:, None, None]
-    rows = correlations(flat - flat.mean(axis=0), mask, (1.0,))
-    variance = rows.variance * n / (n - 1)
-    alternation, jitter = _frames(per_frame, variance, int(mask.sum()), rows)
+        return _few(dark)
+    flat = dark.some
+    rows = Products.of(flat - flat.mean(axis=0), mask).correlations((1.0,))
+    variance = rows.variance * n_some / (n_some - 1)
+    alternation, jitter = _frames(per_frame, variance, int(dark.pixels.sum()), rows)
     fit, read, single = _law(flat[:, mask][:, None, :], register, charge_e, weights)
     charge = UNKNOWN if charge_e is None else Value(charge_e, 0.0)
     gain, electrons = UNKNOWN, 0.0
@@ -126,10 +180,9 @@ def measure_dark(
     baseline = Value(centre, float(doubt), centre - NORMAL * reach * doubt, centre + NORMAL * reach * doubt)
     core = max(read.value, 0.5)
     tail = float(np.mean(flat[:, mask] - np.median(flat[:, mask]) > TAIL_SD * core))
-    variance_map = np.var(flat, axis=0, ddof=1)
     return Dark(
-        baseline, read, charge, gain, alternation, jitter, tail, variance, rows, fit, mean_map, variance_map,
-        None if single else _stray(fit, baseline),
+        baseline, read, charge, gain, alternation, jitter, tail, variance, rows, fit, dark.offset_map,
+        dark.variance_map, float(per_frame.mean()), n, None if single else _stray(fit, baseline),
     )  # fmt: skip
 
 
@@ -142,14 +195,14 @@ def _stray(fit: Fit, baseline: Value) -> Stray:
     return Stray(number, one, offset, fit.values["read_noise_adu"])
 
 
-def _few(values: NDArray[np.float64], per_frame: NDArray[np.float64], mean_map: NDArray[np.float64]) -> Dark:
+def _few(dark: DarkFrames) -> Dark:
     """One frame to four: the spread of a pixel between frames, of one frame that over pixels, their pattern included.
 
     The median of whole counts is whole: they are spread evenly over their codes (rms 1/√12) for it.
     """
+    values, per_frame = dark.some[:, dark.pixels[dark.region]], dark.per_frame
     n = len(values)
-    spread = values + np.random.default_rng(0).uniform(-0.5, 0.5, values.shape)
-    about = spread - per_frame[:, None]
+    about = values + np.random.default_rng(0).uniform(-0.5, 0.5, values.shape)
     if n > 1:
         about = (about - about.mean(axis=0)) * np.sqrt(n / (n - 1))
     sd = 1.4826 * float(np.median(np.abs(about)))
@@ -162,7 +215,7 @@ def _few(values: NDArray[np.float64], per_frame: NDArray[np.float64], mean_map: 
     low, high = (max((sd + way * NORMAL * error) ** 2 - 1 / 6, 0.0) ** 0.5 for way in (-1, 1))
     return Dark(
         Value(centre, doubt), Value(read, (high - low) / (2 * NORMAL), low, high), UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN,
-        share, variance, None, None, mean_map, None,
+        share, variance, None, None, dark.offset_map, None, float(per_frame.mean()), n,
     )  # fmt: skip
 
 
@@ -185,7 +238,7 @@ def _frames(per_frame: NDArray[np.float64], variance: float, n_pixels: int, rows
 
 
 def _law(
-    flat: NDArray[np.float64], register: bool, charge_e: float | None, weights: tuple[float, ...]
+    flat: NDArray[np.float32], register: bool, charge_e: float | None, weights: tuple[float, ...]
 ) -> tuple[Fit, Value, bool]:
     """The law of the histogram, the read noise, and whether the law's electrons, if any, stand alone."""
     seen = histogram.of_dark(flat, register)

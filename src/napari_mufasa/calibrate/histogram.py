@@ -76,7 +76,7 @@ class Fit:
         return self.histogram.expected(self.law, self.baseline_adu)
 
 
-def of_dark(dark: Array, tail: bool) -> Histogram:
+def of_dark(dark: NDArray[Any], tail: bool) -> Histogram:
     """Of frames without light (frame, y, x), each pixel about its mean over all of them; (frame,) offsets are off.
 
     tail : with bins far beyond the read noise, where single multiplied electrons lie
@@ -88,33 +88,34 @@ def of_dark(dark: Array, tail: bool) -> Histogram:
 
 
 def of_light(chunks: Sequence[NDArray[np.float32]], pixels: NDArray[np.bool_]) -> Histogram | None:
-    """Of lit frames within `pixels` (y, x), about the mean of `BLOCK` frames; None where there are too few."""
-    blocks = []
-    for chunk in chunks:
-        n = len(chunk) // BLOCK * BLOCK
-        if n == 0:
-            continue
-        values = chunk[:n, pixels]
-        values = values - values.mean(axis=1, keepdims=True) + values.mean(dtype=np.float64).astype(np.float32)
-        blocks.append(values.reshape(n // BLOCK, BLOCK, -1))
-    stack = np.concatenate(blocks) if blocks else np.empty((0, BLOCK, 0))
-    if len(stack) < 2 or stack.shape[2] < 9:
+    """Of lit frames within `pixels` (y, x), about the mean of `BLOCK` frames; None where there are too few. One
+    chunk is held a second time."""
+    lit = np.flatnonzero(pixels)
+    whole = [chunk[: len(chunk) // BLOCK * BLOCK] for chunk in chunks if len(chunk) >= BLOCK]
+    levels_of = [_levels(chunk[:, pixels]) for chunk in whole]
+
+    def blocks(members: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(block, frame, pixel) of some of the lit pixels."""
+        return np.concatenate([_blocks(chunk, own, lit[members]) for chunk, own in zip(whole, levels_of, strict=True)])
+
+    if sum(map(len, whole)) < 2 * BLOCK or len(lit) < 9:
         return None
-    means = stack.mean(axis=1, dtype=np.float64)
+    in_turn = (_blocks(chunk, own, lit) for chunk, own in zip(whole, levels_of, strict=True))
+    means = np.concatenate([values.mean(axis=1, dtype=np.float64) for values in in_turn])
     # A group is chosen by the other half's means: its own noise must not choose it.
     halves = [means[half::2].mean(axis=0) for half in (0, 1)]
     own = (halves[0] - halves[1]).std() / np.sqrt(2)
     real = np.sqrt(max(np.cov(halves[0], halves[1])[0, 1], 0.0))
-    n_groups = GROUPS if real > own and stack.shape[2] >= 60 * GROUPS else 1
+    n_groups = GROUPS if real > own and len(lit) >= 60 * GROUPS else 1
     abouts: list[Any] = []
     levels: list[Any] = []
     spreads: list[Any] = []
-    step = max(1, int(np.ceil(stack.size / MOST)))
+    step = max(1, int(np.ceil(means.size * BLOCK / MOST)))
     for half in (0, 1):
         order = np.argsort(halves[1 - half], kind="stable")
         for g, members in enumerate(np.array_split(order, n_groups)):
             some = members[::step] if len(members) >= 9 * step else members
-            part = stack[half::2][:, :, some]
+            part = blocks(some)[half::2]
             quarters = [means[half + 2 * q :: 4, some].mean(axis=0) for q in (0, 1)] if len(means) > 3 else halves
             between = max(np.cov(*quarters)[0, 1], 0.0) if n_groups > 1 else 0.0
             about = part - part.mean(axis=1, keepdims=True, dtype=np.float64)
@@ -129,6 +130,19 @@ def of_light(chunks: Sequence[NDArray[np.float32]], pixels: NDArray[np.bool_]) -
     level = [float(np.mean(level)) for level in levels]
     offsets = np.mean(np.reshape(spreads, (2, n_groups, PARTS)), axis=0)
     return _histogram([np.concatenate(a) for a in abouts], level, list(offsets), BLOCK)
+
+
+def _levels(values: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.float32]:
+    """The mean of each frame (frame, 1) of (frame, pixel) values, and that of all."""
+    return values.mean(axis=1, keepdims=True), np.float32(values.mean(dtype=np.float64))
+
+
+def _blocks(
+    chunk: NDArray[np.float32], levels: tuple[NDArray[np.float32], np.float32], pixels: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """(block, frame, pixel) of a chunk's pixels (flat index), its frames brought to the same level."""
+    values = chunk.reshape(len(chunk), -1)[:, pixels] - levels[0] + levels[1]
+    return values.reshape(-1, BLOCK, len(pixels))
 
 
 def _parts(means: Array, between: float, noise: float) -> Array:

@@ -83,11 +83,11 @@ def _maps(dark: Dark, electrons_per_adu: float, baseline: float, notes: list[str
     from scipy import stats
 
     assert dark.variance_map is not None and dark.fit is not None
-    n = len_of(dark)
+    n = dark.n_frames
     if n < LEAST_MAP_FRAMES:
         return {}
     found: dict[str, Any] = {}
-    offset = dark.mean_map - dark.mean_map.mean()
+    offset = dark.offset_map
     chance = dark.variance / n
     if np.sum(offset**2) / chance > stats.chi2.ppf(0.999, offset.size - 1):
         found["offset_map_adu"] = offset
@@ -98,8 +98,3 @@ def _maps(dark: Dark, electrons_per_adu: float, baseline: float, notes: list[str
     if found:
         notes.append("pixels differ in " + " and ".join("offset" if "offset" in n else "read noise" for n in found))
     return found
-
-
-def len_of(dark: Dark) -> int:
-    assert dark.fit is not None
-    return dark.fit.histogram.n_mean

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Iterable
+from functools import reduce
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,19 +37,16 @@ class Light:
         constant = steady & transfer.constant_pixels(chunks, variance).ravel()[chosen]
         self.wider, self.common = _of_parts(chunks, chosen[constant if constant.sum() > 0.02 * len(chosen) else steady])
         self.counts_each = int(kept.sum()) * len(chunks[0])
-        differences = [transfer.second_differences(chunk) for chunk in chunks]
-        differences = [d - d[:, self.quiet].mean(axis=1)[:, None, None] for d in differences]
-        stacked = np.concatenate(differences)
-        self.rows = rows.correlations(stacked, self.quiet, (1, -2, 1))
-        self.rows_of_parts = [rows.correlations(d, self.quiet, (1, -2, 1)) for d in differences]
         dim = mean < np.median(mean[self.quiet])
-        halves = [self.quiet & dim, self.quiet & ~dim]
-        self.rows_of_halves = [rows.correlations(stacked, half, (1, -2, 1)) for half in halves if half.any()]
+        masks = [self.quiet, *(half for half in (self.quiet & dim, self.quiet & ~dim) if half.any())]
+        parts, *halves = zip(*(_products(chunk, self.quiet, masks) for chunk in chunks), strict=True)
+        self.rows = _sum(parts).correlations((1, -2, 1))
+        self.rows_of_parts = [part.correlations((1, -2, 1)) for part in parts]
+        self.rows_of_halves = [_sum(half).correlations((1, -2, 1)) for half in halves]
         # As the movie has it, molecules included: differences of frames one after the other.
-        firsts = [np.diff(chunk, axis=0) for chunk in chunks]
-        firsts = [d - d[:, lit].mean(axis=1)[:, None, None] for d in firsts]
-        self.everywhere = rows.correlations(np.concatenate(firsts), lit, (1, -1))
-        self.everywhere_of_parts = [rows.correlations(d, lit, (1, -1)) for d in firsts]
+        firsts = [rows.Products.of(_in_common_off(np.diff(chunk, axis=0), lit), lit) for chunk in chunks]
+        self.everywhere = _sum(firsts).correlations((1, -1))
+        self.everywhere_of_parts = [part.correlations((1, -1)) for part in firsts]
 
     def kernel_sd(self, dark: rows.Correlations | None, dark_variance: float) -> Array:
         """Standard errors (lag,) of the correlations that the read-out gives to light: by the number of counts, and by
@@ -57,6 +58,24 @@ class Light:
         halves = _of_light(self.rows_of_halves, dark, dark_variance)
         level = (halves[1] - halves[0]) ** 2 / 4 if len(halves) == 2 else np.zeros(rows.LAGS)
         return np.asarray(np.sqrt(np.maximum(course, counted**2) + np.maximum(level - counted**2, 0.0)))
+
+
+def _products(
+    chunk: NDArray[np.float32], quiet: NDArray[np.bool_], masks: list[NDArray[np.bool_]]
+) -> list[rows.Products]:
+    """Of a chunk's second differences, within each of the masks (y, x)."""
+    differences = _in_common_off(transfer.second_differences(chunk), quiet)
+    return [rows.Products.of(differences, mask) for mask in masks]
+
+
+def _sum(parts: Iterable[rows.Products]) -> rows.Products:
+    return reduce(operator.add, parts)
+
+
+def _in_common_off(differences: NDArray[np.float32], pixels: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Differences of frames (frame, y, x) without what these pixels (y, x) have in common."""
+    differences -= differences[:, pixels].mean(axis=1)[:, None, None]
+    return differences
 
 
 def _of_parts(chunks: list[NDArray[np.float32]], pixels: NDArray[np.int64]) -> tuple[tuple[Array, Array], Array]:

@@ -19,7 +19,7 @@ from napari_mufasa import checks
 from napari_mufasa.calibrate import rows
 from napari_mufasa.calibrate.assessment import Assumed, assessed, kernel_of, weights_of
 from napari_mufasa.calibrate.codes import code_widths, saturated_pixels, saturation_adu
-from napari_mufasa.calibrate.dark import Dark, checked_dark, measure_dark
+from napari_mufasa.calibrate.dark import Dark, DarkFrames, checked_dark, measure_dark
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.instrument import camera_of
 from napari_mufasa.calibrate.kind import doubt
@@ -67,6 +67,9 @@ def calibrate(
     baseline_adu, read_noise_adu : known values, instead of dark frames; with the baseline alone the read noise is what
         the histogram shows
 
+    Memory: about 1 GB, however long or large the movie and the dark frames are (lazy ones are read in part). Of frames
+    of more than 1024 × 1024 pixels the middle is looked at, all of them for the maps of a CMOS camera's pixels.
+
     Raises
     ------
     MufasaError : too few frames; a movie no brighter than the dark; an EM gain of a camera that has none; no dark
@@ -96,23 +99,26 @@ def calibrate(
         elif first:
             notes.append(f"frames 0 to {first - 1} are dark and were used as dark frames")
     chunks = lit_chunks(movie, first, progress, cancel)
-    lit = np.ones(shape[1:], dtype=bool)
-    if shape[2] >= WIDE_PX:
+    _, height, width = chunks[0].shape
+    if height * width < shape[1] * shape[2]:
+        notes.append(f"of {shape[1]} × {shape[2]} pixels the middle {height} × {width} were looked at")
+    lit = np.ones((height, width), dtype=bool)
+    if width >= WIDE_PX:
         lit[:, : rows.LAGS] = False  # what was read before them is not in the movie
     frames, shaded, seen_dark = None, None, None
     if dark is not None:
         frames = checked_dark(dark, shape[1:])
     elif baseline_adu is None and register:
         shaded = shadow(chunks)
-        frames = None if shaded is None else np.concatenate(chunks).astype(np.float64)
+        frames = None if shaded is None else DarkFrames.of(chunks, shaded)
     if frames is not None:
-        seen_dark = measure_dark(frames, register, shaded, clock_induced_charge_e)
+        seen_dark = measure_dark(frames, register, clock_induced_charge_e)
         if shaded is not None and not _is_dark(seen_dark):
             frames, shaded, seen_dark = None, None, None
     if shaded is not None:
         lit &= ~shaded
         notes.append(f"{100 * shaded.mean():.0f} % of the pixels lie in shadow and were used in place of dark frames")
-    full = saturation_adu([chunk[:, lit] for chunk in chunks])
+    full = saturation_adu(chunks, lit)
     if full is not None:
         notes.append(f"counts pile up at {full:g} ADU: the movie is saturated there; {_spared(chunks, lit, full)}")
     seen = Light(chunks, lit, shape[0] - first)
@@ -120,14 +126,13 @@ def calibrate(
         # What an electron looks like in the dark depends on the kernel, which the light tells.
         weights = weights_of(kernel_of(seen, seen_dark, seen_dark.variance, assumed)[0])
         if len(weights) > 1:
-            seen_dark = measure_dark(frames, register, shaded, clock_induced_charge_e, weights)
+            seen_dark = measure_dark(frames, register, clock_induced_charge_e, weights)
     factor = excess_noise_factor or (2.0 if register else 1.0)
     notes.append(f"excess noise factor {factor:g} " + ("given" if excess_noise_factor else f"assumed ({camera_type})"))
     found = assessed(seen, seen_dark, assumed, factor, notes)
-    stacks = [chunk[:, lit] for chunk in chunks]
     camera, gains = camera_of(
         camera_type, found, em_gain, electrons_per_adu, quantum_efficiency, seen_dark, assumed, adc_max,
-        code_widths(stacks), notes,
+        code_widths(chunk[:, lit] for chunk in chunks), notes,
     )  # fmt: skip
     if register and (told := doubt(found)) is not None:
         notes.insert(0, told)

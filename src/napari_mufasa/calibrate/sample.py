@@ -14,6 +14,7 @@ from napari_mufasa.errors import Cancelled, MufasaError
 CHUNKS = 10  # parts of the movie whose spread gives uncertainties
 CHUNK_FRAMES = 16  # in each at least
 CHUNK_BYTES = 2**25  # of each at most, as float32
+MOST_PX = 2**20  # of the field, in its middle, that are looked at one by one
 DARK_SHARE = 0.05  # of the field that must lie in shadow to be used
 DARK_BLOCK_PX = 8
 DARK_CONTRAST = 8.0  # lit over shadow, in spreads of the shadow's blocks
@@ -27,18 +28,29 @@ def counts(data: Any, what: str) -> NDArray[Any]:
     return found
 
 
+def window(shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """The middle of a field (y, x), of `MOST_PX` pixels at most."""
+    height, width = shape
+    rows = min(height, max(int(MOST_PX**0.5), MOST_PX // max(width, 1)))
+    columns = min(width, MOST_PX // max(rows, 1))
+    top, left = (height - rows) // 2, (width - columns) // 2
+    return slice(top, top + rows), slice(left, left + columns)
+
+
 def lit_chunks(
     movie: Any, first: int, progress: Callable[[int, int], None] | None, cancel: Callable[[], bool] | None
 ) -> list[NDArray[np.float32]]:
-    """Up to `CHUNKS` runs of frames (frame, y, x) spread over the movie from frame `first` on."""
+    """Up to `CHUNKS` runs of frames (frame, y, x) spread over the movie from frame `first` on, within its `window`;
+    they take `CHUNKS` · `CHUNK_BYTES`."""
+    rows, columns = window(movie.shape[1:])
     n_chunks = min(CHUNKS, max(1, (movie.shape[0] - first) // CHUNK_FRAMES))
     edges = np.linspace(first, movie.shape[0], n_chunks + 1).astype(int)
-    most = max(8, CHUNK_BYTES // (4 * movie.shape[1] * movie.shape[2]))
+    most = max(8, CHUNK_BYTES // (4 * (rows.stop - rows.start) * (columns.stop - columns.start)))
     found = []
     for i, (start, stop) in enumerate(itertools.pairwise(edges)):
         if cancel is not None and cancel():
             raise Cancelled
-        chunk = counts(movie[start : min(stop, start + most)], "the movie's frames").astype(np.float32)
+        chunk = counts(movie[start : min(stop, start + most), rows, columns], "the movie's frames").astype(np.float32)
         if len(chunk) >= 4:
             found.append(chunk)
         if progress is not None:
