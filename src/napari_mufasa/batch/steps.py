@@ -50,9 +50,7 @@ def compare(folder: Path, movie: files.Movie, model: Model, dark: Any, settings:
     from napari_mufasa.compare import compare_movie
     from napari_mufasa.report import figures
 
-    result = compare_movie(
-        np.asarray(movie.data), model, dark, seed=settings.seed, follow_drift=settings.follow_drift, **work
-    )
+    result = compare_movie(movie.data, model, dark, seed=settings.seed, follow_drift=settings.follow_drift, **work)
     files.write_json(folder / "report.json", result.report())
     figures.write(folder, figures.comparison_drawings(result))
     w1 = result.w1
@@ -64,13 +62,12 @@ def diagnose(folder: Path, movie: files.Movie, model: Model, dark: Any, settings
     from napari_mufasa.report import figures
     from napari_mufasa.report import html as html_report
 
-    recorded = np.asarray(movie.data)
     report = discover.diagnose(
-        recorded, model, dark, seed=settings.seed, effects=settings.effects, budget=settings.budget, **work
+        movie.data, model, dark, seed=settings.seed, effects=settings.effects, budget=settings.budget, **work
     )
-    n_frames, height, width = recorded.shape
+    n_frames, height, width = movie.data.shape
     subtitle = f"{movie.path.name}: {n_frames} frames of {height} × {width} px"
-    html_report.export(folder, report, figures.traces_to_show(recorded, report.base, dark), subtitle)
+    html_report.export(folder, report, figures.traces_to_show(movie.data, report.base, dark), subtitle)
     by_kind = {candidate.effect: candidate for candidate in report.ranking}
     effects = [
         {

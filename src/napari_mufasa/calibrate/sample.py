@@ -28,11 +28,11 @@ def counts(data: Any, what: str) -> NDArray[Any]:
     return found
 
 
-def window(shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """The middle of a field (y, x), of `MOST_PX` pixels at most."""
-    height, width = shape
-    rows = min(height, max(int(MOST_PX**0.5), MOST_PX // max(width, 1)))
-    columns = min(width, MOST_PX // max(rows, 1))
+def window(shape: tuple[int, ...], most: int | None = None) -> tuple[slice, slice]:
+    """The middle of a field (y, x), of so many pixels at `most`; None: `MOST_PX`."""
+    (height, width), most = shape, most or MOST_PX
+    rows = min(height, max(int(most**0.5), most // max(width, 1)))
+    columns = min(width, most // max(rows, 1))
     top, left = (height - rows) // 2, (width - columns) // 2
     return slice(top, top + rows), slice(left, left + columns)
 

@@ -40,8 +40,10 @@ def _mean(stack: Any) -> NDArray[np.float64]:
     if len(stack.shape) == 2:
         return np.asarray(stack, np.float64)
     chosen = np.unique(np.linspace(0, stack.shape[0] - 1, FRAMES).astype(int))
-    frames = [np.asarray(stack[int(t) : int(t) + 1], np.float64)[0] for t in chosen]
-    return np.asarray(np.mean(frames, axis=0))
+    total = np.zeros(stack.shape[1:])
+    for t in chosen:
+        total += np.asarray(stack[int(t) : int(t) + 1])[0]
+    return total / len(chosen)
 
 
 def _fine(image: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -185,20 +185,28 @@ def with_dark_baseline(camera: Camera, dark: Any, shape_px: tuple[int, ...], uni
 
     The recorded dark mean is BL − ½ (the ADC rounds down) + what clock-induced charge adds.
     """
-    dark = np.asarray(checks.stack(dark, "dark", single=True))
-    if dark.shape[-2:] != tuple(shape_px):
+    dark = checks.stack(dark, "dark", single=True)
+    if tuple(dark.shape[1:]) != tuple(shape_px):
         raise MufasaError(
-            f"dark has shape {dark.shape}, the movie's frames are {tuple(shape_px)}: "
+            f"dark has shape {tuple(dark.shape)}, the movie's frames are {tuple(shape_px)}: "
             "give dark frames of the same region (frame, y, x)"
         )
-    if not np.isfinite(dark).all() or dark.mean(dtype=np.float64) < -0.5:
+    recorded = _mean_adu(dark, camera)
+    if not (np.isfinite(recorded) and recorded >= -0.5):
         raise MufasaError("dark frames hold values that are negative or no numbers: give the raw counts (ADU)")
     if unit != "adu":
         raise MufasaError("dark frames correct the baseline of a movie in ADU; this one is already in " + unit)
     gain = float(camera.em_gain or 1.0)
     charge_adu = (camera.clock_induced_charge_e * gain + camera.read_noise_mean_e) / camera.electrons_per_adu
-    recorded = float(dark.mean(dtype=np.float64)) + float(np.mean(code_shifts_adu(dark, camera), dtype=np.float64))
     baseline = recorded + 0.5 - charge_adu
     if camera.offset_map_adu is not None:
         baseline -= float(camera.offset_map_adu.mean())
     return camera.model_copy(update={"baseline_adu": max(baseline, 0.0)})
+
+
+def _mean_adu(dark: Any, camera: Camera) -> float:
+    """The mean of dark frames (frame, y, x) with uneven codes undone: that of their even and of their odd frames, for
+    baselines that alternate. One is read after the other."""
+    frames = (np.asarray(dark[t : t + 1]) for t in range(int(dark.shape[0])))
+    levels = [np.mean(f, dtype=np.float64) + np.mean(code_shifts_adu(f, camera), dtype=np.float64) for f in frames]
+    return float(np.mean([np.mean(levels[turn::2]) for turn in range(min(2, len(levels)))]))

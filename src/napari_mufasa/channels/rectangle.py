@@ -61,13 +61,10 @@ class Rectangle:
 
     def camera(self, camera: Camera, frame_px: tuple[int, int]) -> Camera:
         """The camera as these pixels of frames of `frame_px` have it: its maps of pixels are cut out."""
-        maps = {name: getattr(camera, name) for name in MAPS}
-        cut = {
-            name: pixels[self.y0 : self.y1, self.x0 : self.x1]
-            for name, pixels in maps.items()
-            if pixels is not None and pixels.shape == tuple(frame_px)
-        }
-        return camera.model_copy(update=cut) if cut else camera
+        maps = [pixels for name in MAPS if (pixels := getattr(camera, name)) is not None]
+        if any(pixels.shape != tuple(frame_px) for pixels in maps):
+            return camera
+        return camera.of_part(slice(self.y0, self.y1), slice(self.x0, self.x1))
 
     def model(self, model: Model, frame_px: tuple[int, int]) -> Model:
         """The model of this part of frames of `frame_px`: its shape, and its camera's maps."""

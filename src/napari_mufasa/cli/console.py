@@ -257,12 +257,12 @@ def _tell_mismatches(movie: Movie, model: Model, dark: Any) -> None:
 
 
 def dark_frames(path: Path | None, movie: Movie | None = None) -> Any:
-    """Frames without light, (frame, y, x) in memory; None without a file. `movie`: what they are the dark frames of."""
+    """Frames without light, (frame, y, x), lazy; None without a file. `movie`: what they are the dark frames of."""
     from napari_mufasa import files
 
     if path is not None and movie is not None and movie.unit != "adu":
         raise MufasaError(f"--dark belongs to camera counts; {movie.path} holds {movie.unit}: drop it")
-    return None if path is None else files.load(path, recorded=True)
+    return None if path is None else files.read_movie(path).recorded().data
 
 
 def tell_molecules(out: Path, found: TraceSet) -> None:

@@ -197,19 +197,12 @@ def _numbers(text: str) -> list[float]:
 
 
 def _loaded(movie: Path, model: Model, dark: Any, channel: str | None = None) -> tuple[Any, Model, Any]:
-    """Movie, in memory, model and dark frames; of one channel where that is asked for."""
-    import numpy as np
-
-    from napari_mufasa import checks, files
+    """Movie, lazy, model and dark frames; of one channel where that is asked for."""
+    from napari_mufasa import files
 
     read, model, dark = one_channel(channel, files.read_movie(movie).recorded(), model, dark)
-    if channel is None:
-        recorded = files.load(movie)
-    else:
-        checks.affordable(read.data.nbytes, f"{movie} as a whole", "crop it, or give fewer frames")
-        recorded = np.asarray(read.data)
     console.tell_disagreement(read, model, dark)
-    return recorded, model, dark
+    return read.data, model, dark
 
 
 def _effect(model: Any, text: str) -> Any:

@@ -244,11 +244,11 @@ def compare(
     believed = Model.from_json(model)
     shared: dict[str, Any] = {"window": window, "best": best, "seed": seed, "sofi_times": sofi_times}
     if movie is not None:
-        recorded, background = files.load(movie, recorded=True), console.dark_frames(dark)
-        console.tell_disagreement(files.read_movie(movie), believed, background)
+        read, background = files.read_movie(movie).recorded(), console.dark_frames(dark)
+        console.tell_disagreement(read, believed, background)
         with console.working("comparing") as work:
             result = comparing.compare_movie(
-                recorded, believed, background, max_steps=max_steps, follow_drift=follow_drift,
+                read.data, believed, background, max_steps=max_steps, follow_drift=follow_drift,
                 profile=profile or "psf", subtract_background=not with_background, **shared, **work.both(),
             )  # fmt: skip
     else:

@@ -130,14 +130,14 @@ class Model(Setup):
         MufasaError : maps that do not have the movie's shape.
         """
         timing, camera = self.acquisition, self.camera if maps == "own" else maps
-        found: dict[str, Any] = {name: getattr(camera, name, None) for name in MAPS}
         extent = self.effects_refer_to
         if region is not None:
-            found = {name: None if value is None else value[region[1:]] for name, value in found.items()}
+            camera = None if camera is None else camera.of_part(*region[1:])
             whole = (timing.n_frames, *timing.shape_px)
             n_frames, height, width = (len(range(*part.indices(n))) for part, n in zip(region, whole, strict=True))
             shape_px = (height, width)
             extent = (extent or Extent()).seen_from(Extent.of(region, whole))
+        found: dict[str, Any] = {name: getattr(camera, name, None) for name in MAPS}
         shape = timing.shape_px if shape_px is None else (int(shape_px[0]), int(shape_px[1]))
         for name, value in found.items():
             if value is not None and value.shape != tuple(shape):

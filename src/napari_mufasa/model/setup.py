@@ -204,6 +204,12 @@ class Camera(Part):
             )
         return self
 
+    def of_part(self, rows: slice, columns: slice) -> Self:
+        """The camera as a part of its field has it: maps of pixels are cropped."""
+        maps = {name: getattr(self, name) for name in MAPS}
+        cropped = {name: None if pixels is None else pixels[rows, columns] for name, pixels in maps.items()}
+        return self.model_copy(update=cropped)
+
 
 class Sample(Part):
     """Where the molecules are when no positions are given."""

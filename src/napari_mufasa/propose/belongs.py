@@ -6,20 +6,23 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from napari_mufasa import checks
 from napari_mufasa.calibrate import transfer
+from napari_mufasa.calibrate.sample import window
 from napari_mufasa.camera.detector import multiplication_noise, photoelectrons, read_noise_map_e
 from napari_mufasa.camera.readout import undone_noise_power
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
+from napari_mufasa.model.setup import MAPS, Camera
 
 if TYPE_CHECKING:
     from napari_mufasa.files import Movie
     from napari_mufasa.files.instrument import Instrument
 
-FRAMES = 48  # looked at
+FRAMES, MOST_PX = 48, 2**18  # looked at
 PATCH_PX = 5  # over which the darkest pixels are averaged
 SURE = 5.0  # standard errors
 GAIN_FACTOR = 1.6  # of variance over mean, from which on the gain is said to be wrong
@@ -39,8 +42,9 @@ class Mismatch:
 def mismatches(movie: Any, model: Model, dark: Any = None, instrument: Instrument | None = None) -> list[Mismatch]:
     """Where movie (frame, y, x) and model contradict each other; none: nothing speaks against it.
 
-    Looks at `FRAMES` frames of the movie. dark : dark frames, instrument : what the recording software wrote; None:
-    unknown. Raises `MufasaError` for what is no movie of finite numbers.
+    Looks at `FRAMES` frames of the movie, and as many dark ones, in the middle of large fields. dark : dark frames,
+    instrument : what the recording software wrote; None: unknown. Raises `MufasaError` for what is no movie of finite
+    numbers.
     """
     movie = checks.stack(movie, single=True)
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
@@ -48,16 +52,18 @@ def mismatches(movie: Any, model: Model, dark: Any = None, instrument: Instrumen
     found: list[Mismatch] = []
     n = int(movie.shape[0])
     start = max(0, (n - FRAMES) // 2)
-    stack = np.asarray(movie[start : start + FRAMES]).astype(np.float32)
+    rows, columns = window(movie.shape[1:], MOST_PX)
+    stack = np.asarray(movie[start : start + FRAMES, rows, columns]).astype(np.float32)
     if not np.isfinite(stack).all():
         raise MufasaError("movie has values that are not finite: mask or crop those frames first")
     camera = model.camera
-    maps = [getattr(camera, name) for name in ("offset_map_adu", "gain_map", "variance_map_e2")]
-    if any(m is not None and m.shape != stack.shape[1:] for m in maps):
+    maps = [getattr(camera, name) for name in MAPS]
+    if any(m is not None and m.shape != tuple(movie.shape[1:]) for m in maps):
         return [Mismatch("camera", np.nan, np.nan, "the camera's maps have another shape than the movie's frames")]
-    found += _baseline(stack, model, dark)
+    camera = camera.of_part(rows, columns)
+    found += _baseline(stack, camera, dark if dark is None else _some(dark, rows, columns))
     if not found:
-        found += _gain(stack, model, start)
+        found += _gain(stack, camera, start)
     if instrument is not None:
         timing = model.acquisition
         found += _setting("pixel_size_nm", timing.pixel_size_nm, instrument.pixel_size_nm, "pixels of", "nm")
@@ -86,17 +92,22 @@ def differences(movie: Movie, model: Model) -> list[str]:
     return found
 
 
-def _baseline(stack: Any, model: Model, dark: Any) -> list[Mismatch]:
-    camera = model.camera
+def _some(dark: Any, rows: slice, columns: slice) -> NDArray[Any]:
+    """Of dark frames (frame, y, x), `FRAMES` that are spread over all."""
+    chosen = np.unique(np.linspace(0, dark.shape[0] - 1, FRAMES).astype(int))
+    return np.stack([np.asarray(dark[int(t), rows, columns]) for t in chosen])
+
+
+def _baseline(stack: NDArray[np.float32], camera: Camera, dark: NDArray[Any] | None) -> list[Mismatch]:
     base = camera.baseline_adu - 0.5
     if dark is not None:
-        level = float(np.mean(np.asarray(dark), dtype=np.float64))
+        level = float(np.mean(dark, dtype=np.float64))
         gain = camera.em_gain or 1.0
         spurious_e = camera.clock_induced_charge_e * gain + camera.read_noise_mean_e
         expected = base + spurious_e / camera.electrons_per_adu
         if camera.offset_map_adu is not None:
             expected += float(np.mean(camera.offset_map_adu))
-        noise = float(np.std(np.asarray(dark)[0]))
+        noise = float(np.std(dark[0]))
         if abs(level - expected) > max(0.5 * noise, 2.0):
             words = f"the dark frames have {level:.4g} ADU, the model's dark level is {expected:.4g} ADU"
             return [Mismatch("camera.baseline_adu", camera.baseline_adu, level + 0.5, words)]
@@ -118,10 +129,9 @@ def _baseline(stack: Any, model: Model, dark: Any) -> list[Mismatch]:
     return []
 
 
-def _gain(stack: Any, model: Model, first: int) -> list[Mismatch]:
+def _gain(stack: NDArray[np.float32], camera: Camera, first: int) -> list[Mismatch]:
     if len(stack) < 4:
         return []
-    camera = model.camera
     electrons = photoelectrons(stack, camera, first)
     mean = electrons.mean(axis=0, dtype=np.float64)
     quiet = transfer.quiet_pixels(mean)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from napari_mufasa.calibrate.sample import window
 from napari_mufasa.calibrate.value import UNKNOWN, Value
 from napari_mufasa.camera.detector import photoelectrons
 
@@ -36,8 +37,10 @@ def fluctuation_width(movie: Any, camera: Camera) -> Value:
     1135, 1993, doi:10.1016/S0006-3495(93)81173-1). What all pixels share, as the light's flicker, is taken off first;
     a second, broad Gaussian stands for what is out of focus. Molecules that move by no more than the PSF's width in
     `LAG` frames make it a tenth too small, which the interval has room for; slower ones are seen as spots.
-    Holds `WINDOW` frames and their transforms at a time.
+    Holds `WINDOW` frames and their transforms at a time, of large frames the middle.
     """
+    rows, columns = window(movie.shape[1:])
+    movie, camera = movie[:, rows, columns], camera.of_part(rows, columns)
     starts = np.arange(0, movie.shape[0] - WINDOW + 1, WINDOW)
     if len(starts) < LEAST_WINDOWS or min(movie.shape[1:]) < 2 * REACH_PX:
         return UNKNOWN
