@@ -222,7 +222,7 @@ class _Frames:
 
     def electrons(self, counts: Array, start: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
         """Counts of recorded frames from `start` on, or of a tile of them, as photoelectrons."""
-        camera = part_of(self.camera, tile)
+        camera = self.camera.of_part(*tile) if tile else self.camera
         if counts.dtype.kind == "f" and not np.all(np.isfinite(counts)):
             raise MufasaError(
                 f"movie frames {start} to {start + len(counts) - 1} hold values that are not finite: "
@@ -235,7 +235,7 @@ class _Frames:
         """Noise of one frame of photoelectrons, or a tile of it; the read noise is seen through the gain's slope."""
         from .noise import Noise
 
-        variance = read_variance(electrons, part_of(self.camera, tile))
+        variance = read_variance(electrons, self.camera.of_part(*tile) if tile else self.camera)
         return Noise(self.alpha * self.share, variance * np.float32(self.share), self.multiplied)
 
     def learn(self, cancel: Callable[[], bool] | None) -> None:
@@ -381,14 +381,6 @@ class _Frames:
             for done in work:
                 done.result()
             yield from pieces
-
-
-def part_of(camera: Camera, tile: tuple[slice, ...]) -> Camera:
-    """The camera of a tile (rows, columns) of its frames: the same, its maps cut."""
-    names = [name for name in ("offset_map_adu", "gain_map", "variance_map_e2") if getattr(camera, name) is not None]
-    if not tile or not names:
-        return camera
-    return camera.model_copy(update={name: getattr(camera, name)[tile] for name in names})
 
 
 def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
