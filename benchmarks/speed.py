@@ -129,31 +129,30 @@ def denoising(quick: bool) -> Iterator[str]:
         yield row(n, each / times[-1])
 
 
-def memory(quick: bool, frames: int = 256) -> Iterator[str]:
-    """Anonymous memory (RssAnon) of commands that stream a movie, looked at twenty times a second."""
-    n_frames, side = (64, 256) if quick else (frames, 1024)
+def memory(quick: bool, frames: int = 256, side: int = 1024) -> Iterator[str]:
+    """Anonymous memory (RssAnon) of commands, looked at twenty times a second; as many dark frames as frames."""
+    n_frames, side = (64, 256) if quick else (frames, side)
     size_gb = 2 * n_frames * side**2 / 1e9
     yield "### Memory"
     yield from header(f"{n_frames} × {side} × {side} movie ({size_gb:.2f} GB)", "most anonymous memory, GB")
     with tempfile.TemporaryDirectory() as home:
         folder = Path(home)
-        nm.preset(LARGE).to_json(folder / "model.json")
-        given = ["--model", str(folder / "model.json")]
-        movie, shape = str(folder / "m.zarr"), ["--shape", str(side), str(side)]
+        believed, unlit = nm.preset(LARGE), nm.preset(LARGE).with_values({"optics.background_photons_per_px": 0.0})
+        believed.to_json(folder / "model.json")
+        unlit.to_json(folder / "unlit.json")
+        model, movie, dark = ("--model", f"{home}/model.json"), f"{home}/m.zarr", f"{home}/dark.zarr"
+        size = ["--frames", str(n_frames), "--shape", str(side), str(side)]
+        many = ["--n-molecules", str(side * side // 160)]
+        nothing = ["--model", f"{home}/unlit.json", "--n-molecules", "0"]
+        most_anonymous_gb(["simulate", *nothing, *size, "--out", dark])
         commands = {
-            "simulate": [
-                *given,
-                "--frames",
-                str(n_frames),
-                *shape,
-                "--n-molecules",
-                str(side * side // 160),
-                "--out",
-                movie,
-            ],
-            "denoise": [movie, *given, "--out", str(folder / "d.zarr")],
-            "traces": [movie, *given, "--out", str(folder / "t")],
-            "traces --follow-molecules": [movie, *given, "--follow-molecules", "--out", str(folder / "f")],
+            "simulate": [*model, *size, *many, "--out", movie],
+            "denoise": [movie, *model, "--out", f"{home}/d.zarr"],
+            "traces": [movie, *model, "--dark", dark, "--out", f"{home}/t"],
+            "traces --follow-molecules": [movie, *model, "--follow-molecules", "--out", f"{home}/f"],
+            "compare": [movie, *model, "--dark", dark, "--out", f"{home}/c"],
+            "calibrate": [movie, "--dark", dark, "--out", f"{home}/camera.json"],
+            "propose": [movie, "--dark", dark, "--out", f"{home}/proposed.json"],
         }
         for name, arguments in commands.items():
             yield row(name, most_anonymous_gb([name.split()[0], *arguments]))
@@ -184,6 +183,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="smaller sizes, a minute; nothing is kept")
     parser.add_argument("--only", choices=PARTS, help="one part; nothing is kept")
     parser.add_argument("--frames", type=int, default=256, help="of the movie that memory is measured on (2000: 4 GB)")
+    parser.add_argument("--side", type=int, default=1024, help="of its frames, pixels")
     options = parser.parse_args()
     lines = [
         "# Speed", "",
@@ -192,7 +192,7 @@ def main() -> None:
         f"Load of the machine when it began: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores.",
     ]  # fmt: skip
     for part in [options.only] if options.only else PARTS:
-        told = memory(options.quick, options.frames) if part == "memory" else PARTS[part](options.quick)
+        told = memory(options.quick, options.frames, options.side) if part == "memory" else PARTS[part](options.quick)
         for line in told:
             if line.startswith("###"):
                 lines += ["", line[1:], ""]
