@@ -29,7 +29,7 @@ def counts(data: Any, what: str) -> NDArray[Any]:
 
 
 def window(shape: tuple[int, ...], most: int | None = None) -> tuple[slice, slice]:
-    """The middle of a field (y, x), of so many pixels at `most`; None: `MOST_PX`."""
+    """The middle of a field (y, x), of so many pixels at `most` (None: `MOST_PX`), as square as the field allows."""
     (height, width), most = shape, most or MOST_PX
     rows = min(height, max(int(most**0.5), most // max(width, 1)))
     columns = min(width, most // max(rows, 1))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa import camera as detector
 from napari_mufasa import checks
-from napari_mufasa.calibrate.sample import leading_dark_frames
+from napari_mufasa.calibrate.sample import leading_dark_frames, window
 from napari_mufasa.camera.darkness import light_in_dark
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.errors import MufasaError
@@ -50,7 +50,7 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         )
     if frames < shape[0]:
         notes.append(f"The first {frames} of {shape[0]} frames were used.")
-    rows, columns = _crop(shape[1:], VOXELS // frames)
+    rows, columns = window(shape[1:], VOXELS // frames)
     if (rows.stop - rows.start, columns.stop - columns.start) != shape[1:]:
         notes.append(
             f"A central region of {rows.stop - rows.start} × {columns.stop - columns.start} of "
@@ -85,7 +85,7 @@ def cropped(model: Model) -> Model:
     """The model of the part of its movie that a diagnosis looks at: as many molecules per area."""
     timing = model.acquisition
     frames = min(timing.n_frames, FRAMES)
-    part = model.in_shape(region=(slice(0, frames), *_crop(timing.shape_px, VOXELS // frames)))
+    part = model.in_shape(region=(slice(0, frames), *window(timing.shape_px, VOXELS // frames)))
     area = float(np.prod(part.acquisition.shape_px)) / float(np.prod(timing.shape_px))
     return part.with_values({"sample.n_molecules": max(1, round(model.sample.n_molecules * area))})
 
@@ -118,13 +118,3 @@ def _counts(data: NDArray[Any], what: str, model: Model) -> NDArray[np.uint16]:
     if data.min() == data.max():
         raise MufasaError(f"every pixel of the {what} is {data.min()}: nothing was recorded; give the raw counts (ADU)")
     return np.ascontiguousarray(np.rint(data) if data.dtype.kind == "f" else data).astype(np.uint16)
-
-
-def _crop(shape: tuple[int, int], area: int) -> tuple[slice, slice]:
-    """A central region of at most `area` pixels, as square as the field allows."""
-    height, width = shape
-    side = int(np.sqrt(area))
-    h = min(height, max(side, area // width))
-    w = min(width, max(side, area // h) if h else width)
-    top, left = (height - h) // 2, (width - w) // 2
-    return slice(top, top + h), slice(left, left + w)
