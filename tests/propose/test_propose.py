@@ -11,8 +11,10 @@ import tifffile
 from tests.real_data import real_data
 
 import napari_mufasa as nm
+from napari_mufasa.effects import effect_class
 from napari_mufasa.files.instrument import Instrument, read_instrument
 from napari_mufasa.model.cameras import CAMERAS, camera_type_of
+from napari_mufasa.propose import light, proposal
 
 SHAPE = {"acquisition.shape_px": (96, 96), "acquisition.n_frames": 150, "sample.n_molecules": 40}
 
@@ -49,6 +51,32 @@ def test_molecules_brighter_than_a_typical_dye_are_proposed_as_bright_as_they_ar
     found = nm.propose_model(nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1), instrument=written)
     level, told = found.values["on_level_e"], nm.predict(found.model).detected_e_per_frame
     assert level.holds(nm.predict(model).detected_e_per_frame) and told == pytest.approx(level.value, rel=1e-3)
+
+
+@pytest.mark.parametrize("head", ["dark", "dim"])
+def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, head):
+    uneven = effect_class("illumination_profile")(edge_dimming=0.8)
+    light_on = {"excitation.power_density_w_per_cm2": 12.0, "optics.background_photons_per_px": 60.0}
+    model = nm.preset("FF").with_values(SHAPE | light_on | {"camera.electrons_per_adu": 20.0}).with_effects(uneven)
+    dim = model.with_values({name: value / 3 for name, value in light_on.items()})
+    before = nm.simulate_dark(model, 20, seed=1) if head == "dark" else nm.simulate(dim, seed=1).movie[:20]
+    looked_at = []
+
+    def seen_in(movie, *rest, **how):
+        looked_at.append(len(movie))
+        return light.seen_in(movie, *rest, **how)
+
+    monkeypatch.setattr(proposal, "seen_in", seen_in)
+    movie = nm.simulate(model, seed=1).movie
+    found = nm.propose_model(np.concatenate([before, movie]), instrument=Instrument(em_gain=500.0))
+    assert "frames 0 to 19 are dark" in found.calibration.notes[0]
+    assert looked_at == [len(movie) + (20 if head == "dim" else 0)]
+
+
+def test_a_model_is_not_proposed_from_three_frames(bright):
+    _, movie, dark = bright
+    with pytest.raises(nm.MufasaError, match="3 frames: a model is proposed from 4 or more"):
+        nm.propose_model(movie[:3], dark)
 
 
 def test_more_counts_than_the_metadata_have_bits_are_told(bright):

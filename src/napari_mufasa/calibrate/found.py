@@ -82,6 +82,7 @@ class Calibration:
     em_gain, electrons_per_adu : one of them as given, the other with its interval
     stray : electrons of dark frames that are not quite dark
     saturation_adu : where counts pile up; None: nowhere
+    leading_dark : frames at the movie's beginning that were taken for dark frames
     camera : a `Camera` with these values; curve : photon transfer (mean − baseline, variance − dark) in ADU
     notes : what was assumed
     """
@@ -104,6 +105,7 @@ class Calibration:
     saturation_adu: float | None = None
     notes: list[str] = field(default_factory=list)
     stray: Stray | None = None
+    leading_dark: int = 0
 
     @property
     def law_holds(self) -> bool:

@@ -138,7 +138,9 @@ def calibrate(
         notes.insert(0, told)
     if full is not None:
         camera = camera.model_copy(update={"adc_max": min(int(full), camera.adc_max)})
-    return replace(found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full)
+    return replace(
+        found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full, leading_dark=first
+    )
 
 
 def check_given(

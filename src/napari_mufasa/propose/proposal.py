@@ -32,6 +32,7 @@ DYE = {"extinction_coefficient_per_M_cm": 100_000.0, "lifetime_s": 3e-9, "quantu
 COLLECTION = 0.1
 MOST_EXCITED = 0.009  # share of the time in S1 up to which the fast engine may simulate
 BLOCK_FRAMES = 64
+LEAST_FRAMES = 4  # of which noise and signal can be told apart
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,12 @@ def propose_model(
 
     Raises
     ------
-    MufasaError : a movie that cannot be used, values that cannot be.
+    MufasaError : a movie that cannot be used or has fewer than `LEAST_FRAMES` frames, values that cannot be.
     """
     movie = checks.stack(movie)
+    if movie.shape[0] < LEAST_FRAMES:
+        frames = checks.counted(int(movie.shape[0]), "frame")
+        raise MufasaError(f"the movie has {frames}: a model is proposed from {LEAST_FRAMES} or more")
     dark = None if dark is None else checks.stack(dark, "dark")
     written = instrument or Instrument()
     known = camera_type or camera_type_of(written.camera)
@@ -98,8 +102,7 @@ def propose_model(
     kind = known or ("EMCCD" if (asked["em_gain"] or 1.0) > 1 else None)
     camera, found = _camera(movie, dark, kind, asked, unknown, notes, cancel)
     timing = _timing(movie, written, pixel_size_nm, frame_length_s, unknown)
-    first = _first_lit(found)
-    lit = movie[first:] if first else movie
+    lit = movie[found.leading_dark :] if found is not None and found.leading_dark else movie
     seen = seen_in(lit, camera, dark, *_doubts(found), progress=progress, cancel=cancel)
     notes += seen.traces.notes
     if seen.width_from == "short runs":
@@ -124,14 +127,6 @@ def _adc_max(movie: Any, bit_depth: int | None, notes: list[str]) -> int:
         notes.append(f"the metadata say {bit_depth} bits, but the movie has counts above {most}: 16 bits are taken")
         return 65535
     return most
-
-
-def _first_lit(found: Calibration | None) -> int:
-    """Frames at the beginning that were found to be dark."""
-    if found is None:
-        return 0
-    said = next((note for note in found.notes if note.startswith("frames 0 to ")), "")
-    return int(said.split()[3]) + 1 if said else 0
 
 
 def _camera(
