@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Iterable
-from functools import reduce
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,24 +28,22 @@ class Light:
         still.ravel()[chosen[steady]] = True
         variance = np.zeros(lit.shape)
         variance.ravel()[chosen] = variances.mean(axis=0)
-        quiet = still & transfer.quiet_pixels(mean) & transfer.constant_pixels(chunks, variance)
+        constant = transfer.constant_pixels(chunks, variance)
+        quiet = still & transfer.quiet_pixels(mean) & constant
         self.quiet = quiet if quiet.sum() > max(9, 0.02 * quiet.size) else still
         kept = self.quiet.ravel()[chosen]
         self.means, self.variances = means[:, kept], variances[:, kept]
         # Without dark frames the range of light counts: spots, as far as they are steady, are part of it.
-        constant = steady & transfer.constant_pixels(chunks, variance).ravel()[chosen]
-        self.wider, self.common = _of_parts(chunks, chosen[constant if constant.sum() > 0.02 * len(chosen) else steady])
+        both = steady & constant.ravel()[chosen]
+        self.wider, self.common = _of_parts(chunks, chosen[both if both.sum() > 0.02 * len(chosen) else steady])
         self.counts_each = int(kept.sum()) * len(chunks[0])
         dim = mean < np.median(mean[self.quiet])
-        masks = [self.quiet, *(half for half in (self.quiet & dim, self.quiet & ~dim) if half.any())]
-        parts, *halves = zip(*(_products(chunk, self.quiet, masks) for chunk in chunks), strict=True)
-        self.rows = _sum(parts).correlations((1, -2, 1))
-        self.rows_of_parts = [part.correlations((1, -2, 1)) for part in parts]
-        self.rows_of_halves = [_sum(half).correlations((1, -2, 1)) for half in halves]
+        seconds, firsts = partial(_second_differences, pixels=self.quiet), partial(_first_differences, pixels=lit)
+        self.rows, self.rows_of_parts = _correlations(map(seconds, chunks), self.quiet, (1, -2, 1))
+        halves = [half for half in (self.quiet & dim, self.quiet & ~dim) if half.any()]
+        self.rows_of_halves = [_correlations(map(seconds, chunks), half, (1, -2, 1))[0] for half in halves]
         # As the movie has it, molecules included: differences of frames one after the other.
-        firsts = [rows.Products.of(_in_common_off(np.diff(chunk, axis=0), lit), lit) for chunk in chunks]
-        self.everywhere = _sum(firsts).correlations((1, -1))
-        self.everywhere_of_parts = [part.correlations((1, -1)) for part in firsts]
+        self.everywhere, self.everywhere_of_parts = _correlations(map(firsts, chunks), lit, (1, -1))
 
     def kernel_sd(self, dark: rows.Correlations | None, dark_variance: float) -> Array:
         """Standard errors (lag,) of the correlations that the read-out gives to light: by the number of counts, and by
@@ -60,20 +57,30 @@ class Light:
         return np.asarray(np.sqrt(np.maximum(course, counted**2) + np.maximum(level - counted**2, 0.0)))
 
 
-def _products(
-    chunk: NDArray[np.float32], quiet: NDArray[np.bool_], masks: list[NDArray[np.bool_]]
-) -> list[rows.Products]:
-    """Of a chunk's second differences, within each of the masks (y, x)."""
-    differences = _in_common_off(transfer.second_differences(chunk), quiet)
-    return [rows.Products.of(differences, mask) for mask in masks]
+def _correlations(
+    parts: Iterable[NDArray[np.float32]], pixels: NDArray[np.bool_], terms: tuple[float, ...]
+) -> tuple[rows.Correlations, list[rows.Correlations]]:
+    """Of all parts of the movie together, and of each; one part is held."""
+    whole, each = None, []
+    for part in parts:
+        found = rows.Products.of(part, pixels)
+        each.append(found.correlations(terms))
+        whole = found if whole is None else whole + found
+    assert whole is not None
+    return whole.correlations(terms), each
 
 
-def _sum(parts: Iterable[rows.Products]) -> rows.Products:
-    return reduce(operator.add, parts)
+def _second_differences(chunk: NDArray[np.float32], pixels: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(frame − 2, y, x) without what these pixels (y, x) have in common."""
+    return _in_common_off(transfer.second_differences(chunk), pixels)
+
+
+def _first_differences(chunk: NDArray[np.float32], pixels: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(frame − 1, y, x) without what these pixels (y, x) have in common."""
+    return _in_common_off(np.diff(chunk, axis=0), pixels)
 
 
 def _in_common_off(differences: NDArray[np.float32], pixels: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Differences of frames (frame, y, x) without what these pixels (y, x) have in common."""
     differences -= differences[:, pixels].mean(axis=1)[:, None, None]
     return differences
 

@@ -67,8 +67,8 @@ def calibrate(
     baseline_adu, read_noise_adu : known values, instead of dark frames; with the baseline alone the read noise is what
         the histogram shows
 
-    Memory: about 1 GB, however long or large the movie and the dark frames are (lazy ones are read in part). Of frames
-    of more than 1024 × 1024 pixels the middle is looked at, all of them for the maps of a CMOS camera's pixels.
+    Memory: about 1.5 GB, however long or large the movie and the dark frames are (lazy ones are read in part). Of
+    frames of more than 1024 × 1024 pixels the middle is looked at, all of them for the maps of a CMOS camera's pixels.
 
     Raises
     ------
