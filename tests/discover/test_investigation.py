@@ -196,6 +196,8 @@ def test_other_forms_are_begun_once_at_a_stand_and_wait_for_what_promises_more()
 def test_no_more_than_so_many_effects_are_added():
     report = play(investigation(), 1)
     assert len(report.chosen) == 1 and report.verdict == "unexplained"
+    assert report.suspects == list(KINDS)  # not the whole catalogue, and the report says so
+    assert any(note.startswith("No effect of those that were considered explains the rest") for note in report.notes)
 
 
 def test_what_is_doubtful_stays_while_only_what_is_surely_useless_shall_go(monkeypatch):

@@ -296,6 +296,8 @@ def test_a_good_model_with_a_rest_does_not_read_like_a_failure(monkeypatch):
     line, sentence = wording.verdict_text(good)
     assert line == "99.4 % of the misfit is explained by fast dark-state blinking; the rest by no known effect."
     assert "from 2.93 to 1.04; noise alone gives 0.98" in sentence
+    few = dataclasses.replace(good, suspects=["triplet_blinking", "laser_drift"])
+    assert "the rest by none of those that were considered" in wording.verdict_text(few)[0]
     told = wording.standing_lines(good)
     assert told == [
         "99.4 % of the misfit is explained, to 1.06 times the error that noise alone gives.",

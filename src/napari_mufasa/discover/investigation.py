@@ -63,6 +63,7 @@ class Investigation(Steps):
         self.measurement = prepare(movie, model, dark)
         considered = _considered(effects, list(catalogue()), model)
         super().__init__(MovieBench(self.measurement, seed, progress, cancel, client), model, budget, *considered)
+        self.suspects = tuple(effects or ())
 
     # Steps --------------------------------------------------------------------------------------------------
 
@@ -166,6 +167,7 @@ class TraceInvestigation(Investigation):
             cancel=cancel, client=client,
         )  # fmt: skip
         Steps.__init__(self, bench, model, budget, *considered)
+        self.suspects = tuple(effects or ())
 
 
 def _check(model: Model, seed: int) -> None:

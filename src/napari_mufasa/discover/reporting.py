@@ -16,6 +16,7 @@ from napari_mufasa.discover.rules import ALARM, CURVES, EXPLAINED, FAR, MISFIT_A
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.state import SCALES, State
+from napari_mufasa.effects import effect_class
 from napari_mufasa.model.model import Model
 
 CURVE_SEED = 7_000
@@ -56,6 +57,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         credibility_before=_credibility(inquiry.first),
         remaining=_remaining(table),
         simulations={"spent": inquiry.bench.done, "budget": inquiry.budget},
+        suspects=list(inquiry.suspects),
     )
 
 
@@ -223,6 +225,7 @@ def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: 
     if verdict == "unexplained":
         nearest = [c.effect for c in inquiry.ranking] if not inquiry.chosen else list(inquiry.stand.leads)
         what = "the rest" if inquiry.chosen else "this"
-        likest = f" The nearest resemblance is {nearest[0]}." if nearest else ""
-        notes.append(f"No effect in the catalogue explains {what}.{likest}")
+        likest = f" It is most like: {effect_class(nearest[0]).title}." if nearest else ""
+        none = "No effect of those that were considered" if inquiry.suspects else "No effect in the catalogue"
+        notes.append(f"{none} explains {what}.{likest}")
     return notes

@@ -95,6 +95,7 @@ class Report:
         (1: they cannot be told apart now); `credibility_before`: of the model believed
     remaining : observables still off, worst first: observable, title, z, measured, simulated and their unit
     simulations : spent, and the budget
+    suspects : the only kinds that were considered; [] where all of the catalogue were
     check : what data that the finding has not seen say of it (`Confirmation.to_dict`, "against" what); {} where nobody
         asked
     """
@@ -123,6 +124,7 @@ class Report:
     remaining: list[dict[str, Any]] = field(default_factory=list)
     simulations: dict[str, int] = field(default_factory=dict)
     check: dict[str, Any] = field(default_factory=dict)
+    suspects: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """report.json of docs/files.md, with the additions a reader wants."""
@@ -146,6 +148,7 @@ class Report:
             "credibility_before": self.credibility_before,
             "remaining": self.remaining,
             "simulations": self.simulations,
+            "suspects": self.suspects,
             "check": self.check,
             **({"w1": self.w1} if self.w1 else {}),
         }

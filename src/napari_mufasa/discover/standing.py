@@ -22,6 +22,7 @@ class Standing:
     of the model believed, then after each step.
 
     kinds : of effects considered · further : those considered where they leave the model far off its floor
+    suspects : the only kinds that its user has asked for; () where the catalogue is searched
     ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent ·
     reserve : those of them that are kept for later
     """
@@ -32,6 +33,7 @@ class Standing:
         self._started = time.monotonic()
         self.bench, self.believed, self.seed = bench, believed, bench.seed
         self.kinds, self.further = kinds, further
+        self.suspects: tuple[str, ...] = ()
         self.budget = min(BUDGET, BUDGET_VALUES // bench.size) if budget is None else budget
         self.reserve = 0
         self.stands: list[Stand] = []

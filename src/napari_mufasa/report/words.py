@@ -141,8 +141,10 @@ def verdict_text(report: Report) -> tuple[str, str]:
         return f"Missing from the model: {chosen}.", fall
     if report.chosen:
         share = f"{_percent(report.explained)} of the misfit" if report.explained else "Part of what is missing"
-        return f"{share} is explained by {chosen}; the rest by no known effect.", fall
-    line = "Something is missing that no known effect explains."
+        none = "none of those that were considered" if report.suspects else "no known effect"
+        return f"{share} is explained by {chosen}; the rest by {none}.", fall
+    none = "none of the effects considered" if report.suspects else "no known effect"
+    line = f"Something is missing that {none} explains."
     if report.ranking:
         line += f" It resembles {in_text(report.ranking[0].effect)} most."
     return line, f"The error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
