@@ -75,7 +75,7 @@ def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, 
 
 def test_a_model_is_not_proposed_from_three_frames(bright):
     _, movie, dark = bright
-    with pytest.raises(nm.MufasaError, match="3 frames: a model is proposed from 4 or more"):
+    with pytest.raises(nm.MufasaError, match="3 frames: give 4 or more"):
         nm.propose_model(movie[:3], dark)
 
 

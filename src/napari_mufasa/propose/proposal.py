@@ -84,7 +84,7 @@ def propose_model(
     movie = checks.stack(movie)
     if movie.shape[0] < LEAST_FRAMES:
         frames = checks.counted(int(movie.shape[0]), "frame")
-        raise MufasaError(f"the movie has {frames}: a model is proposed from {LEAST_FRAMES} or more")
+        raise MufasaError(f"the movie has {frames}: give {LEAST_FRAMES} or more to propose a model from")
     dark = None if dark is None else checks.stack(dark, "dark")
     written = instrument or Instrument()
     known = camera_type or camera_type_of(written.camera)
