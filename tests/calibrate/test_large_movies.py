@@ -41,6 +41,15 @@ def test_dark_maps_are_mean_and_variance_of_every_pixel(movies):
     np.testing.assert_allclose(found.variance_map, flat.var(axis=0, ddof=1), rtol=1e-9)
 
 
+def test_reading_many_dark_frames_can_be_cancelled(movies, monkeypatch):
+    movie, dark = movies
+    monkeypatch.setattr(dark_frames, "READ_BYTES", 8 * dark[0].size)  # one at a time
+    asked = []
+    with pytest.raises(nm.Cancelled):
+        nm.calibrate(movie, dark, camera_type="CMOS", cancel=lambda: asked.append(1) or len(asked) > 30)
+    assert len(asked) == 31 < len(dark)
+
+
 def test_products_of_parts_add_up_to_those_of_all(movies):
     movie, _ = movies
     noise = np.diff(movie.astype(np.float32), axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from napari_mufasa.calibrate.law import Law
 from napari_mufasa.calibrate.rows import Correlations, Products
 from napari_mufasa.calibrate.sample import counts, window
 from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
-from napari_mufasa.errors import MufasaError
+from napari_mufasa.errors import Cancelled, MufasaError
 
 TAIL_SD = 5.0
 MOST_COUNTS = 2**24  # that are looked at one by one …
@@ -103,7 +103,9 @@ class DarkFrames:
     pixels: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, stacks: Sequence[Any], pixels: NDArray[np.bool_] | None = None) -> DarkFrames:
+    def of(
+        cls, stacks: Sequence[Any], pixels: NDArray[np.bool_] | None = None, cancel: Callable[[], bool] | None = None
+    ) -> DarkFrames:
         """Of stacks of counts (frame, y, x) that follow one another, arrays or lazy ones; `pixels` (y, x): dark is only
         what lies there, else the `window` is looked at. Held are `MOST_COUNTS` of them as float32 and a few maps."""
         shape = tuple(stacks[0].shape[1:])
@@ -115,7 +117,7 @@ class DarkFrames:
         per_frame, some = np.zeros(n), []
         first: NDArray[np.float64] | float = 0.0
         total, squares = np.zeros(shape), np.zeros(shape)
-        for t, frame in enumerate(_frames_of(stacks)):
+        for t, frame in enumerate(_frames_of(stacks, cancel)):
             per_frame[t] = frame[mask].mean()
             frame -= per_frame[t]
             if t in chosen:
@@ -128,22 +130,24 @@ class DarkFrames:
         return cls(per_frame, first + total / n, variance, np.stack(some), region, mask)
 
 
-def _frames_of(stacks: Sequence[Any]) -> Iterator[NDArray[np.float64]]:
+def _frames_of(stacks: Sequence[Any], cancel: Callable[[], bool] | None) -> Iterator[NDArray[np.float64]]:
     """Frame by frame, read a few at a time."""
     for stack in stacks:
         step = max(1, READ_BYTES // max(8 * int(np.prod(stack.shape[1:])), 1))
         for start in range(0, len(stack), step):
+            if cancel is not None and cancel():
+                raise Cancelled
             yield from counts(stack[start : start + step], "dark frames").astype(np.float64)
 
 
-def checked_dark(dark: Any, shape: tuple[int, ...]) -> DarkFrames:
+def checked_dark(dark: Any, shape: tuple[int, ...], cancel: Callable[[], bool] | None = None) -> DarkFrames:
     """Dark frames (frame, y, x); raises `MufasaError` where they do not fit the movie."""
     found = tuple(dark.shape)
     if len(found) != 3 or found[1:] != tuple(shape):
         raise MufasaError(f"dark has shape {found}, the movie's frames are {tuple(shape)}: give the same region")
     if 0 in found:
         raise MufasaError(f"dark has shape {found}: give at least one dark frame, better 50")
-    return DarkFrames.of([dark])
+    return DarkFrames.of([dark], cancel=cancel)
 
 
 def measure_dark(

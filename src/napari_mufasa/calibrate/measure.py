@@ -107,7 +107,7 @@ def calibrate(
         lit[:, : rows.LAGS] = False  # what was read before them is not in the movie
     frames, shaded, seen_dark = None, None, None
     if dark is not None:
-        frames = checked_dark(dark, shape[1:])
+        frames = checked_dark(dark, shape[1:], cancel)
     elif baseline_adu is None and register:
         shaded = shadow(chunks)
         frames = None if shaded is None else DarkFrames.of(chunks, shaded)
