@@ -14,7 +14,7 @@ import napari_mufasa as nm
 from napari_mufasa.effects import effect_class
 from napari_mufasa.files.instrument import Instrument, read_instrument
 from napari_mufasa.model.cameras import CAMERAS, camera_type_of
-from napari_mufasa.propose import light, proposal
+from napari_mufasa.propose import fluctuations, light, proposal
 
 SHAPE = {"acquisition.shape_px": (96, 96), "acquisition.n_frames": 150, "sample.n_molecules": 40}
 
@@ -71,6 +71,23 @@ def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, 
     found = nm.propose_model(np.concatenate([before, movie]), instrument=Instrument(em_gain=500.0))
     assert "frames 0 to 19 are dark" in found.calibration.notes[0]
     assert looked_at == [len(movie) + (20 if head == "dim" else 0)]
+
+
+def test_the_width_by_fluctuations_reads_a_few_frames_at_a_time(bright):
+    """An array that reads whatever is asked of it at once, as zarr's do."""
+    model, movie, _ = bright
+    asked = []
+
+    class Eager:
+        shape, dtype = movie.shape, movie.dtype
+
+        def __getitem__(self, key):
+            asked.append(movie[key].shape[0])
+            return movie[key].copy()
+
+    seen = fluctuations.fluctuation_width(Eager(), model.camera)
+    assert max(asked) == fluctuations.WINDOW
+    assert repr(seen) == repr(fluctuations.fluctuation_width(movie, model.camera))
 
 
 def test_a_model_is_not_proposed_from_three_frames(bright):

@@ -110,10 +110,11 @@ class DarkFrames:
         what lies there, else the `window` is looked at. Held are `MOST_COUNTS` of them as float32 and a few maps."""
         shape = tuple(stacks[0].shape[1:])
         n, region = sum(len(stack) for stack in stacks), window(shape)
-        mask = np.zeros(shape, dtype=bool)
-        mask[region] = True
-        each, mask = int(mask.sum()), mask if pixels is None else pixels
-        chosen = set(np.linspace(0, n - 1, max(LEAST_CHOSEN, MOST_COUNTS // each)).astype(int).tolist())
+        there = np.zeros(shape, dtype=bool)
+        there[region] = True
+        mask = there if pixels is None else pixels
+        most = max(LEAST_CHOSEN, MOST_COUNTS // int(there.sum()))
+        chosen = set(np.linspace(0, n - 1, most).astype(int).tolist())
         per_frame, some = np.zeros(n), []
         first: NDArray[np.float64] | float = 0.0
         total, squares = np.zeros(shape), np.zeros(shape)

@@ -24,7 +24,7 @@ from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.instrument import camera_of
 from napari_mufasa.calibrate.kind import doubt
 from napari_mufasa.calibrate.light import Light
-from napari_mufasa.calibrate.sample import leading_dark_frames, lit_chunks, shadow
+from napari_mufasa.calibrate.sample import leading_dark_frames, lit_chunks, shadow, some_frames
 from napari_mufasa.camera.darkness import FRAMES as LOOKED_AT
 from napari_mufasa.camera.darkness import light_in_dark
 from napari_mufasa.errors import MufasaError
@@ -91,7 +91,7 @@ def calibrate(
     if dark is None and baseline_adu is None:
         first = leading_dark_frames(movie)
         dark = np.asarray(movie[:first]) if first else None
-        if first and light_in_dark(_spread(movie, first), dark):
+        if first and light_in_dark(some_frames(movie, LOOKED_AT, first), dark):
             notes.append(
                 f"frames 0 to {first - 1} are darker, but show what the others show: not taken for dark frames"
             )
@@ -159,12 +159,6 @@ def check_given(
             checks.number(value, name, least, most)
     if em_gain is not None and em_gain > 1 and camera_type != "EMCCD":
         raise MufasaError(f"em_gain = {em_gain:g}: a {camera_type} does not multiply; drop it, or choose EMCCD")
-
-
-def _spread(movie: Any, first: int) -> NDArray[Any]:
-    """Some frames (frame, y, x) of those from `first` on."""
-    chosen = np.linspace(first, movie.shape[0] - 1, LOOKED_AT).astype(int)
-    return np.stack([np.asarray(movie[int(t)]) for t in chosen])
 
 
 def _spared(chunks: list[NDArray[np.float32]], lit: NDArray[np.bool_], full: float) -> str:

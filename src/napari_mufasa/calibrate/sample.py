@@ -60,6 +60,12 @@ def lit_chunks(
     return found
 
 
+def some_frames(stack: Any, n: int, first: int = 0, part: tuple[slice, ...] = ()) -> NDArray[Any]:
+    """At most n frames (frame, y, x), or a part of each, spread over those of a stack from `first` on."""
+    chosen = np.unique(np.linspace(first, stack.shape[0] - 1, n).astype(int))
+    return np.stack([np.asarray(stack[(int(t), *part)]) for t in chosen])
+
+
 def leading_dark_frames(movie: Any) -> int:
     """How many frames at the beginning are dark: before a sudden, lasting rise of the mean; 0 if none."""
     n = int(movie.shape[0])

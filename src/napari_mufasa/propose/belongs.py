@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter
 
 from napari_mufasa import checks
 from napari_mufasa.calibrate import transfer
-from napari_mufasa.calibrate.sample import window
+from napari_mufasa.calibrate.sample import some_frames, window
 from napari_mufasa.camera.detector import multiplication_noise, photoelectrons, read_noise_map_e
 from napari_mufasa.camera.readout import undone_noise_power
 from napari_mufasa.errors import MufasaError
@@ -52,16 +52,16 @@ def mismatches(movie: Any, model: Model, dark: Any = None, instrument: Instrumen
     found: list[Mismatch] = []
     n = int(movie.shape[0])
     start = max(0, (n - FRAMES) // 2)
-    rows, columns = window(movie.shape[1:], MOST_PX)
-    stack = np.asarray(movie[start : start + FRAMES, rows, columns]).astype(np.float32)
+    part = window(movie.shape[1:], MOST_PX)
+    stack = np.asarray(movie[start : start + FRAMES, *part]).astype(np.float32)
     if not np.isfinite(stack).all():
         raise MufasaError("movie has values that are not finite: mask or crop those frames first")
     camera = model.camera
     maps = [getattr(camera, name) for name in MAPS]
     if any(m is not None and m.shape != tuple(movie.shape[1:]) for m in maps):
         return [Mismatch("camera", np.nan, np.nan, "the camera's maps have another shape than the movie's frames")]
-    camera = camera.of_part(rows, columns)
-    found += _baseline(stack, camera, dark if dark is None else _some(dark, rows, columns))
+    camera = camera.of_part(*part)
+    found += _baseline(stack, camera, dark if dark is None else some_frames(dark, FRAMES, part=part))
     if not found:
         found += _gain(stack, camera, start)
     if instrument is not None:
@@ -90,12 +90,6 @@ def differences(movie: Movie, model: Model) -> list[str]:
     if gain is not None and model.camera.em_gain and abs(gain / model.camera.em_gain - 1) > 0.5:
         found.append(f"the movie's EM gain was set to {gain:g}, the model says {model.camera.em_gain:g}: {used}")
     return found
-
-
-def _some(dark: Any, rows: slice, columns: slice) -> NDArray[Any]:
-    """Of dark frames (frame, y, x), `FRAMES` that are spread over all."""
-    chosen = np.unique(np.linspace(0, dark.shape[0] - 1, FRAMES).astype(int))
-    return np.stack([np.asarray(dark[int(t), rows, columns]) for t in chosen])
 
 
 def _baseline(stack: NDArray[np.float32], camera: Camera, dark: NDArray[Any] | None) -> list[Mismatch]:

@@ -39,13 +39,15 @@ def fluctuation_width(movie: Any, camera: Camera) -> Value:
     `LAG` frames make it a tenth too small, which the interval has room for; slower ones are seen as spots.
     Holds `WINDOW` frames and their transforms at a time, of large frames the middle.
     """
-    rows, columns = window(movie.shape[1:])
-    movie, camera = movie[:, rows, columns], camera.of_part(rows, columns)
+    part = window(movie.shape[1:])
+    camera = camera.of_part(*part)
     starts = np.arange(0, movie.shape[0] - WINDOW + 1, WINDOW)
     if len(starts) < LEAST_WINDOWS or min(movie.shape[1:]) < 2 * REACH_PX:
         return UNKNOWN
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, MOST_WINDOWS).astype(int))]
-    seen = np.stack([_covariance(photoelectrons(np.asarray(movie[s : s + WINDOW]), camera, int(s))) for s in chosen])
+    seen = np.stack(
+        [_covariance(photoelectrons(np.asarray(movie[s : s + WINDOW, *part]), camera, int(s))) for s in chosen]
+    )
     groups = np.array_split(np.arange(len(seen)), min(GROUPS, len(seen)))
     width = _width(seen.mean(axis=0))
     without = np.array([_width(np.delete(seen, group, axis=0).mean(axis=0)) for group in groups])
