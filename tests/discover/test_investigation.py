@@ -280,6 +280,31 @@ def test_what_is_worth_little_goes_together_only_where_together_it_is_not_worth_
     assert steps.Steps.prune(worth_two) == {"one"} and worth_two.chosen == ["two", "three", "sure"]
 
 
+@pytest.mark.parametrize(("reserve", "sure", "out"), [(0, False, {"one"}), (1, False, set()), (0, True, set())])
+def test_what_has_not_earned_its_place_goes_where_no_fit_can_be_afforded(monkeypatch, reserve, sure, out):
+    """One at a time, the others are worth more without it; not on the way, nor while later ones can tell by fits."""
+
+    class Spent(Doubted):
+        def affords(self, n):
+            return False
+
+        def _stand(self, added):
+            stand = super()._stand(added)
+            stand.library = added
+            return stand
+
+        def _seen_in(self, near):
+            return self._stand(near)
+
+    monkeypatch.setattr(steps.joint, "left_out", lambda added, kind: tuple(k for k in added if k != kind))
+    spent = Spent(together=45.0)
+    spent.reserve = reserve
+    little = Worth(15.0, 1.5, 20.0)  # less than it needs, more than half of that
+    spent.stand.worths.update(one=little, two=little, three=little)
+    assert steps.Steps.prune(spent, sure) == out
+    assert set(spent.chosen) == {"one", "two", "three", "sure"} - out
+
+
 def test_an_effect_of_which_a_rival_is_known_is_judged_like_others():
     noted = Doubted(together=15.0)
     noted.stands[-1] = noted.stand.knowing("one", replace(noted.stand.worths["one"], rivals={"another": 3.0}))
