@@ -118,6 +118,18 @@ def stack(value: Any, name: str = "movie", *, single: bool = False) -> Any:
     return value
 
 
+def unread(stack: Any) -> Any:
+    """The stack, parts of which can be taken without reading them (a slice of zarr, or of its like, would be read), and
+    are read in its own chunks."""
+    import numpy as np
+
+    if isinstance(stack, np.ndarray) or hasattr(stack, "dask"):
+        return stack
+    from dask.array import from_array
+
+    return from_array(stack, chunks=getattr(stack, "chunks", None) or "auto")  # type: ignore[no-untyped-call]
+
+
 def table(value: Any, name: str) -> NDArray[Any]:
     """An array (molecule, frame) of finite real numbers, not empty; one trace (frame,) becomes a table of one."""
     import numpy as np

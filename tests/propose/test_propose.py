@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tifffile
+import zarr
 from tests.real_data import real_data
 
 import napari_mufasa as nm
@@ -54,7 +55,7 @@ def test_molecules_brighter_than_a_typical_dye_are_proposed_as_bright_as_they_ar
 
 
 @pytest.mark.parametrize("head", ["dark", "dim"])
-def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, head):
+def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, head, tmp_path):
     uneven = effect_class("illumination_profile")(edge_dimming=0.8)
     light_on = {"excitation.power_density_w_per_cm2": 12.0, "optics.background_photons_per_px": 60.0}
     model = nm.preset("FF").with_values(SHAPE | light_on | {"camera.electrons_per_adu": 20.0}).with_effects(uneven)
@@ -63,14 +64,16 @@ def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, 
     looked_at = []
 
     def seen_in(movie, *rest, **how):
-        looked_at.append(len(movie))
+        looked_at.append(movie)
         return light.seen_in(movie, *rest, **how)
 
     monkeypatch.setattr(proposal, "seen_in", seen_in)
     movie = nm.simulate(model, seed=1).movie
-    found = nm.propose_model(np.concatenate([before, movie]), instrument=Instrument(em_gain=500.0))
+    given = zarr.create_array(tmp_path / "given.zarr", data=np.concatenate([before, movie]), chunks=(10, 96, 96))
+    found = nm.propose_model(given, instrument=Instrument(em_gain=500.0))
     assert "frames 0 to 19 are dark" in found.calibration.notes[0]
-    assert looked_at == [len(movie) + (20 if head == "dim" else 0)]
+    assert looked_at[0].shape[0] == len(movie) + (20 if head == "dim" else 0)
+    assert not isinstance(looked_at[0], np.ndarray)  # of an array on disk no part was read at once
 
 
 def test_the_width_by_fluctuations_reads_a_few_frames_at_a_time(bright):

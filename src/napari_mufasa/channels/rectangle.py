@@ -53,11 +53,7 @@ class Rectangle:
         height, width = int(stack.shape[1]), int(stack.shape[2])
         if self.y1 > height or self.x1 > width:
             raise MufasaError(f"channel {self} leaves the frames of {height} × {width} px: {NOTATION}")
-        if not isinstance(stack, np.ndarray) and not hasattr(stack, "dask"):
-            from dask.array import from_array
-
-            stack = from_array(stack)  # type: ignore[no-untyped-call]  # zarr and its like would be read at once
-        return stack[:, self.y0 : self.y1, self.x0 : self.x1]
+        return checks.unread(stack)[:, self.y0 : self.y1, self.x0 : self.x1]
 
     def camera(self, camera: Camera, frame_px: tuple[int, int]) -> Camera:
         """The camera as these pixels of frames of `frame_px` have it: its maps of pixels are cut out."""

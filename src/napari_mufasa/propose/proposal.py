@@ -33,6 +33,7 @@ COLLECTION = 0.1
 MOST_EXCITED = 0.009  # share of the time in S1 up to which the fast engine may simulate
 BLOCK_FRAMES = 64
 LEAST_FRAMES = 4  # of which noise and signal can be told apart
+PLAIN_FRAMES = 50  # that tell the darkest level where nothing else can be measured
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def propose_model(
     kind = known or ("EMCCD" if (asked["em_gain"] or 1.0) > 1 else None)
     camera, found = _camera(movie, dark, kind, asked, unknown, notes, cancel)
     timing = _timing(movie, written, pixel_size_nm, frame_length_s, unknown)
-    lit = movie[found.leading_dark :] if found is not None and found.leading_dark else movie
+    lit = checks.unread(movie)[found.leading_dark :] if found is not None and found.leading_dark else movie
     seen = seen_in(lit, camera, dark, *_doubts(found), progress=progress, cancel=cancel)
     notes += seen.traces.notes
     if seen.width_from == "short runs":
@@ -173,7 +174,7 @@ def _plain_camera(movie: Any, dark: Any, kind: CameraType, asked: dict[str, Any]
     from napari_mufasa.model.setup import Camera
 
     name = "movie" if dark is None else "dark"
-    stack = np.asarray(movie[: min(50, movie.shape[0])] if dark is None else dark).astype(np.float64)
+    stack = np.asarray((movie if dark is None else dark)[:PLAIN_FRAMES]).astype(np.float64)
     if not np.isfinite(stack).all():
         raise MufasaError(f"{name} has values that are not finite: mask or crop those frames first")
     if stack.min() < 0:
