@@ -31,6 +31,6 @@ def doubt(found: Calibration) -> str | None:
     if kind_of(found)[0] == "EMCCD" and not rejected:
         return None
     return (
-        "is this really an EMCCD? Its counts do not look like it; if it has no register, say so (--type CMOS or "
-        "--type CCD): a photoelectron then makes twice as many counts"
+        "is this really an EMCCD? Its counts do not look like it; if it has no register, give its type, "
+        "CMOS or CCD: a photoelectron then makes twice as many counts"
     )

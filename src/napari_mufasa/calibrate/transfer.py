@@ -159,7 +159,7 @@ def line(means: Array, variances: Array) -> tuple[Array, Array]:
     if grown.mean() < 5 * grown.std(ddof=1) / np.sqrt(n) or real < LEAST_RANGE * abs(level) or sums[:, 1].sum() <= 0:
         raise MufasaError(
             "without dark frames the light must differ between pixels, and here it does not: "
-            "record dark frames (shutter closed), or give calibrate the baseline_adu (--baseline-adu)"
+            "record dark frames (shutter closed), or give the dark level (baseline_adu)"
         )
     whole = _line_of(sums.sum(axis=0))
     without = np.array([_line_of(sums.sum(axis=0) - one) for one in sums])

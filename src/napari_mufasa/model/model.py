@@ -81,7 +81,7 @@ class Model(Setup):
         try:
             camera = metadata["model"].get("camera") if isinstance(metadata["model"], dict) else None
             if isinstance(camera, dict) and any(isinstance(camera.get(name), str) for name in MAPS):
-                raise MufasaError("its camera's maps are files elsewhere: give the model.json with --model")
+                raise MufasaError("its camera's maps are files elsewhere: give its model.json")
             return cls.from_dict(metadata["model"])
         except MufasaError as error:
             warnings.warn(f"the model stored with the movie cannot be restored ({error})", stacklevel=2)

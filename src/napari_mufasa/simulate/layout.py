@@ -94,7 +94,7 @@ def read_positions(path: str | os.PathLike[str], pixel_size_nm: float) -> NDArra
         if {f"y_{unit}", f"x_{unit}"} <= set(table.columns):
             numbers = table[[f"y_{unit}", f"x_{unit}"]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
             if not len(numbers):
-                raise MufasaError(f"{path} holds no position: give at least one (an empty field is --n-molecules 0)")
+                raise MufasaError(f"{path} holds no position: give at least one (an empty field has 0 molecules)")
             if not np.isfinite(numbers).all():
                 row = int(np.nonzero(~np.isfinite(numbers).all(axis=1))[0][0]) + 1
                 raise MufasaError(f"{path} has a position that is not a number (molecule {row}): remove that row")
