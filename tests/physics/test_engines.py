@@ -239,7 +239,7 @@ def drawn(variate, random):
 
 
 def frame_by_frame(chain, drive, exposure, streams):
-    """The jump process written out, every wait drawn: photons at jumps, and the time in each state."""
+    """The jump process written out: photons at jumps, and the time in each state."""
     total_rates = [chain.generator(0.0), chain.generator(1.0) - chain.generator(0.0)]
     n = len(chain.states)
     photons, stays = (
@@ -250,21 +250,24 @@ def frame_by_frame(chain, drive, exposure, streams):
         random = stream(streams.key("photophysics"), m, 0)
         u, random = drawn(uniform, random)
         state = int(np.searchsorted(np.cumsum(chain.start_vector()), u, side="right"))
+        life, random = drawn(exponential, random)
         for f, light in enumerate(exposure.light):
             rates = np.maximum(total_rates[0] + own * light * total_rates[1], 0.0)
             for left, seen in ((exposure.exposure_s, True), (exposure.dead_time_s, False)):
                 while left > 0:
-                    wait, random = drawn(exponential, random)
-                    wait = wait / rates[state].sum() if rates[state].any() else np.inf
-                    stays[m, f, state] += min(wait, left) * seen
-                    left -= wait
-                    if left <= 0:
+                    leaving = rates[state].sum()
+                    stay = min(left, life / leaving if leaving else np.inf)
+                    stays[m, f, state] += stay * seen
+                    life -= leaving * stay
+                    if stay == left:
                         break
+                    left -= stay
                     u, random = drawn(uniform, random)
-                    state_before, state = state, int(np.searchsorted(np.cumsum(rates[state]), u * rates[state].sum()))
+                    state_before, state = state, int(np.searchsorted(np.cumsum(rates[state]), u * leaving))
                     if seen and chain.photon_matrix()[state_before, state] > 0:
                         u, random = drawn(uniform, random)
                         photons[m, f] += u < chain.photon_matrix()[state_before, state]
+                    life, random = drawn(exponential, random)
     return photons, stays
 
 
@@ -301,6 +304,35 @@ def test_passing_by_calm_frames_changes_nothing(dead_s, light):
     lit = frame_by_frame(merged, drive, exposure, Streams(6))[1] @ rates
     assert 0.1 < np.mean(lit > 0) < 0.9
     np.testing.assert_allclose(expected, drive[:, None] * light * lit, rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("dead_s", [0.0, 0.003])
+def test_a_state_is_left_at_the_rate_that_the_light_of_each_moment_makes(dead_s):
+    """Molecules that bleach in a light of their own in every frame, dark in some: how many are left when a frame begins
+    is binomial with exp(−∫ rate dt); chi², false alarms 1e-3 together."""
+    k01, k10, bleaching = 1e4, 1e7, 1.5e4
+    chain = Chain(
+        ("S0", "S1", "B"),
+        (
+            Transition("S0", "S1", k01, driven=True),
+            Transition("S1", "S0", k10, photon_probability=1.0),
+            Transition("S1", "B", bleaching),
+        ),
+        {"S0": 1.0},
+    )
+    n, light = 20_000, np.tile([1.0, 1.0, 0.0, 2.5, 0.4], 8)
+    each = np.tile(np.random.default_rng(3).uniform(0.5, 1.5, light.size).astype(np.float32), (n, 1))
+    exposure = Exposure(0.002, dead_s, light, each)
+    _, expected = simulate_photons(chain, np.ones(n), exposure, Streams(4), "fast", with_expected=True)
+    leave = k10 + bleaching
+    rate = k01 * leave / (k01 + leave) * bleaching / leave * light * each[0].astype(float)
+    still = np.exp(-np.concatenate([[0.0], np.cumsum(rate * (0.002 + dead_s))]))[:-1]
+    lit = light > 0
+    left = (expected[:, lit] > 0).sum(axis=0)
+    gone = np.append(-np.diff(left), left[-1])
+    chances = np.append(-np.diff(still[lit]), still[lit][-1])
+    assert left[0] == n and chances.min() * n > 20
+    assert stats.chisquare(gone, n * chances).pvalue > 5e-4
 
 
 @pytest.mark.parametrize("engine", ["fast", "exact"])

@@ -6,7 +6,7 @@ one effect share all other chance, which makes their difference precise. That is
 what a sequential generator cannot give.
 
 splitmix64 is the generator; the variates are textbook ones: normal by its inverse distribution function, Poisson by
-inversion, by its smooth inverse where a whole row is bright, or by Hörmann's transformed rejection (PTRS), gamma by
+inversion, by its smooth inverse where many are bright, or by Hörmann's transformed rejection (PTRS), gamma by
 Marsaglia and Tsang. Each function takes the state and returns (value, new state). `uniforms`, `tails`, `poisson_row`
 and `poisson_quantiles` do a whole row of streams in loops that compilers turn into vector instructions; all but the
 last draw the same numbers as one by one.
@@ -62,24 +62,6 @@ def uniform(state):  # type: ignore[no-untyped-def]
     """Uniform in the open interval (0, 1)."""
     state = state + _GOLDEN
     return unit(mix(state)), state
-
-
-@jit
-def limit(p):  # type: ignore[no-untyped-def]
-    """What `surely_below` compares with for a chance p (the last 1e-12 of it is left out)."""
-    return np.uint64(max(p - 1e-12, 0.0) * 18446744073709551616.0)
-
-
-@jit
-def surely_below(state, draw, p):  # type: ignore[no-untyped-def]
-    """Whether the uniform number `draw` (from 1) of a state is surely below a `limit`, without making it."""
-    return mix(state + np.uint64(draw) * _GOLDEN) < p
-
-
-@jit
-def skipped(state, draws):  # type: ignore[no-untyped-def]
-    """The state after so many draws."""
-    return state + np.uint64(draws) * _GOLDEN
 
 
 @jit
@@ -184,26 +166,6 @@ def poisson_by_rejection(mean, shape, state):  # type: ignore[no-untyped-def]
 
 
 @jit
-def poissons_by_rejection(mean, state, u, v, k):  # type: ignore[no-untyped-def]
-    """`poisson_by_rejection` of each mean (n,) from its state (n,), into k (n,) float64; u and v (n,) are scratch.
-
-    Most are taken by the squeeze, which loops without branches tell; the others are drawn one by one.
-    """
-    for x in range(mean.size):
-        u[x] = unit(mix(state[x] + _GOLDEN))
-        v[x] = unit(mix(state[x] + (_GOLDEN + _GOLDEN)))
-    for x in range(mean.size):
-        a, b, squeeze = rejection_of(mean[x])
-        centred = u[x] - 0.5
-        us = 0.5 - abs(centred)
-        likely = np.floor((2.0 * a / us + b) * centred + mean[x] + 0.43)
-        k[x] = likely if us >= 0.07 and v[x] <= squeeze else -1.0
-    for x in range(mean.size):
-        if k[x] < 0.0:
-            k[x], _ = poisson_by_rejection(mean[x], rejection_of(mean[x]), state[x])
-
-
-@jit
 def gamma(shape, state):  # type: ignore[no-untyped-def]
     """Gamma of unit scale (Marsaglia and Tsang 2000); shape 0 gives 0."""
     if shape <= 0.0:
@@ -236,18 +198,30 @@ def uniforms(key, i, first, draw, out):  # type: ignore[no-untyped-def]
         out[x] = unit(mix(base + np.uint64(x) * _SALT))
 
 
+@inlined
+def tail(bits):  # type: ignore[no-untyped-def]
+    """A uniform of uint64 as float32 that is exact at either end: −u below a half, 1 − u above."""
+    high = np.int32(np.int64(bits >> np.uint64(32)))
+    from_end = np.int32(high ^ np.int32(high >> np.int32(31)))
+    p = (np.float32(from_end) + np.float32(0.5)) * np.float32(2.0**-32)
+    return -p if high >= 0 else p
+
+
+@jit
+def first_tail(state):  # type: ignore[no-untyped-def]
+    """The first draw of a state as a `tail`."""
+    return tail(mix(state + _GOLDEN))
+
+
 @jit
 def tails(key, i, first, bits, out):  # type: ignore[no-untyped-def]
-    """The first draw of the streams (i, first), (i, first + 1) … as float32 that is exact at either end: −u below a
-    half, 1 − u above. Into out (n,); bits (n,) uint64 is scratch."""
+    """The first draw of the streams (i, first), (i, first + 1) … as a `tail`, into out (n,); bits (n,) uint64 is
+    scratch."""
     base = stream(key, i, first) + _GOLDEN
     for x in range(out.size):
         bits[x] = mix(base + np.uint64(x) * _SALT)
     for x in range(out.size):
-        high = np.int32(np.int64(bits[x] >> np.uint64(32)))
-        from_end = np.int32(high ^ np.int32(high >> np.int32(31)))
-        p = (np.float32(from_end) + np.float32(0.5)) * np.float32(2.0**-32)
-        out[x] = -p if high >= 0 else p
+        out[x] = tail(bits[x])
 
 
 @inlined
@@ -288,7 +262,7 @@ def poisson_row(mean, u, terms, p, below, k):  # type: ignore[no-untyped-def]
 
 @inlined
 def poisson_quantiles(mean, tail, k):  # type: ignore[no-untyped-def]
-    """Poisson for means from `SMOOTH` on, counts (float32) into k, all (n,): the quantile at a tail (see `tails`), by
+    """Poisson for means from `SMOOTH` on, counts into k (float), all (n,): the quantile at a `tail`, by
     the first terms of its expansion in 1/√mean about the normal's (Giles, ACM Trans. Math. Softw. 42, 7, 2016). Within
     5e-5 of the distribution function, and without any branch; for smaller means it would give zero too often."""
     for x in range(mean.size):
