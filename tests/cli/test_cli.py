@@ -377,17 +377,27 @@ def test_compare_tells_intervals_and_why_there_is_no_floor(cli, model_file, tmp_
         assert ("too few molecules for a floor" in out) == (n == 1)
 
 
-def test_a_reason_that_all_share_keeps_its_number(capsys):
+@pytest.mark.parametrize(
+    ("reasons", "told"),
+    [
+        (
+            ["no 20 active frames", "no 20 active frames", "SNR 0.3", "SNR 0.4", ""],
+            ["2 × no 20 active frames", "2 × SNR …"],
+        ),
+        (["border", "", ""], ["1 × border"]),
+        (["", ""], []),
+    ],
+)
+def test_a_reason_that_all_share_keeps_its_number(capsys, reasons, told):
     from types import SimpleNamespace
 
     from napari_mufasa.cli import console
 
-    reasons = ["no 20 active frames", "no 20 active frames", "SNR 0.3", "SNR 0.4", ""]
     kept = np.array([not reason for reason in reasons])
-    told = SimpleNamespace(kept=kept, molecules=pd.DataFrame({"reason": reasons}), path_px=None, notes=())
-    console.tell_molecules(Path("out"), told)
-    out = capsys.readouterr().out
-    assert "2 × no 20 active frames" in out and "2 × SNR …" in out
+    found = SimpleNamespace(kept=kept, molecules=pd.DataFrame({"reason": reasons}), path_px=None, notes=())
+    console.tell_molecules(Path("out"), found)
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert f"{kept.sum()} molecules kept of {len(reasons)}" in first and [line.strip() for line in rest] == told
 
 
 def test_a_stopped_demo_says_that_files_stay(cli, monkeypatch, tmp_path):

@@ -271,10 +271,10 @@ def tell_molecules(out: Path, found: TraceSet) -> None:
 
     typer.echo(f"{out}: {found.kept.sum()} molecules kept of {len(found.molecules)} candidates")
     reasons = found.molecules["reason"][~found.kept]
-    alike = reasons.groupby(reasons.str.replace(r"[\d.]+", "…", regex=True))
-    for general, count in alike.size().sort_values(ascending=False, kind="stable").head(6).items():
-        each = alike.get_group(general).unique()
-        typer.echo(f"  {count} × {each[0] if len(each) == 1 else general}")
+    general = reasons.str.replace(r"[\d.]+", "…", regex=True)
+    for words, count in general.value_counts().head(6).items():
+        each = reasons[general == words].unique()
+        typer.echo(f"  {count} × {each[0] if len(each) == 1 else words}")
     if found.path_px is not None:
         typer.echo(moving_line(found))
     for note in found.notes:
