@@ -9,7 +9,7 @@ from napari_mufasa.discover.library import build
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.null import Null
-from napari_mufasa.discover.rules import ALARM, BASE_SIMULATIONS, CHECK_SIMULATIONS, MISFIT_ALARM
+from napari_mufasa.discover.rules import ALARM, BASE_SIMULATIONS, CHECK_SIMULATIONS, FURTHER, MISFIT_ALARM
 
 KINDS = ["laser_drift", "row_noise", "background_gradient", "photobleaching", "stage_drift"]
 MOVIES = 200
@@ -44,9 +44,22 @@ def test_one_freak_among_the_simulations_does_not_rule_what_an_effect_must_bring
     """Two molecules that chance made neighbours may promise thousands, in one simulation of all."""
     n = BASE_SIMULATIONS + CHECK_SIMULATIONS
     values = stats.gumbel_r(10.0, 2.0).ppf((np.arange(n) + 0.5) / n)
-    usual = Null.of(values, values).evidence
-    freak = Null.of(np.append(values[:-1], 5000.0), values).evidence
+    usual = Null.of({"any": values}, values).evidence
+    freak = Null.of({"any": np.append(values[:-1], 5000.0)}, values).evidence
     assert len(freak.freaks) == 1 and freak.at(ALARM) < 1.5 * usual.at(ALARM) < 50
+
+
+def test_a_freak_rules_what_the_effects_must_be_worth_that_it_would_have_passed_for():
+    """Neighbours that look like one that goes dark: two effects would explain them, the noise of rows does not."""
+    n = BASE_SIMULATIONS + CHECK_SIMULATIONS
+    values = stats.gumbel_r(10.0, 2.0).ppf((np.arange(n) + 0.5) / n)
+    seen = {kind: np.append(values[:-1] - 1.0, last) for kind, last in (("dark", 5000.0), ("bleach", 900.0))}
+    null = Null.of(seen | {"rows": values}, values)
+    assert null.evidence_of("dark").at(FURTHER) == null.evidence.at(FURTHER) == 5000.0
+    assert null.evidence_of("bleach").at(FURTHER) == 900.0
+    usual = Null.of({"rows": values}, values).evidence.at(FURTHER)
+    assert null.evidence_of("rows").at(FURTHER) == pytest.approx(usual, rel=0.1)
+    assert null.evidence_of("not asked for").at(FURTHER) == 5000.0
 
 
 def test_calibrated_probabilities_are_even(chances):
@@ -58,7 +71,7 @@ def test_calibrated_probabilities_are_even(chances):
 
 
 def test_what_is_far_below_chance_is_certain_and_no_warning():
-    null = Null.of(np.array([0.0, 0.1, 0.2, 0.1, 0.15]), np.array([90.0, 100.0, 110.0, 95.0, 105.0]))
+    null = Null.of({"any": np.array([0.0, 0.1, 0.2, 0.1, 0.15])}, np.array([90.0, 100.0, 110.0, 95.0, 105.0]))
     with np.errstate(all="raise"):
         assert null.evidence.p(-1e6) == 1.0
     assert 0 < null.evidence.p(3.0) < 0.01 < null.misfit.p(100.0) < 1

@@ -240,7 +240,7 @@ def test_the_floor_is_the_error_of_a_right_model_whose_pattern_is_read_off_one_h
 def test_null_laws_fit_their_own_samples():
     rng = np.random.default_rng(6)
     evidence, misfit = rng.gumbel(5, 3, 4000), rng.gamma(40, 2, 4000)
-    null = Null.of(evidence, misfit)
+    null = Null.of({"any": evidence}, misfit)
     for p in (0.05, 0.01):
         # Between two freaks (0.3 % of a Gumbel law, 1 in 4000 each) the probability is not reached exactly.
         assert null.evidence.p(null.evidence.at(p)) == pytest.approx(p, abs=1 / 4000)
@@ -253,9 +253,9 @@ def test_null_laws_fit_their_own_samples():
 def test_one_freak_does_not_hide_what_the_others_say():
     rng = np.random.default_rng(7)
     evidence, misfit = rng.gumbel(5, 3, 72), rng.gamma(40, 2, 72)
-    clean = Null.of(evidence, misfit)
+    clean = Null.of({"any": evidence}, misfit)
     evidence[5], misfit[5] = 800.0, 1100.0
-    null = Null.of(evidence, misfit)
+    null = Null.of({"any": evidence}, misfit)
     # By moments of all 72 the 2 % level lies above 260. The freak costs 1 in 72: 2 % leave 0.6 % to the others,
     # 1.2 scales (4) higher; one value less moves scale and location by a tenth.
     assert clean.evidence.at(0.02) < null.evidence.at(0.02) < clean.evidence.at(0.02) + 8

@@ -77,20 +77,21 @@ class Library:
         twin: Array = self.base.check[number - CHECK_SEED] if number >= CHECK_SEED else self.rows[number]
         return twin
 
-    def null_distribution(self, folds: int = 4) -> tuple[Array, Array]:
-        """Largest evidence and misfit of base simulations taken as measurements.
+    def null_distribution(self, folds: int = 4) -> tuple[dict[str, Array], Array]:
+        """Evidence of each effect, and misfit, of base simulations taken as measurements.
 
         None of them is judged by a mean, spread or correlation that it helped to make: each fold by those of
         the other folds, the check simulations by those of all.
         """
-        evidence, misfit = [], []
+        evidence, misfit = {kind: list[float]() for kind in self.rays}, []
         fold_of = np.arange(len(self.rows)) % folds
         trials = [(_with_noise_of(self.base, self.rows[fold_of != f]), self.rows[fold_of == f]) for f in range(folds)]
         for state, unseen in [*trials, (self.base, self.base.check)]:
             for x in unseen:
                 misfit.append(state.misfit(x))
-                evidence.append(max((forms[0].gain for forms in state.screen(x, self.rays).values()), default=0.0))
-        return np.array(evidence), np.array(misfit)
+                for kind, forms in state.screen(x, self.rays).items():
+                    evidence[kind].append(forms[0].gain)
+        return {kind: np.array(found) for kind, found in evidence.items()}, np.array(misfit)
 
 
 def _with_noise_of(state: State, rows: Array) -> State:

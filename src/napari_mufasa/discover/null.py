@@ -4,11 +4,13 @@ Base simulations go through the same screening as the measurement. Their largest
 law (a maximum over effects), their misfits a scaled chi² (here: a gamma law); the tails are read from the
 fitted laws, since a few dozen simulations cannot show a one-percent tail themselves. A few are freaks, though,
 of several hundred: two molecules that chance made neighbours look like one that goes dark. They say nothing
-about the usual ones, and count as what they are: so many among all.
+about the usual ones, and count as what they are: so many among all; and what an effect must be worth beside others, as
+what they would have brought that effect: neighbours do not pass for the noise of rows.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,26 +43,43 @@ class Tail:
         return float(values.min())
 
 
-def usual(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """All values, freaks drawn in to the fence; and the freaks, largest first."""
+def fence(values: NDArray[np.float64]) -> float:
+    """The value beyond which there are only freaks."""
     low, high = np.quantile(values, [0.25, 0.75])
-    fence = high + FREAK * (high - low)
-    return np.minimum(values, fence), np.sort(values[values > fence])[::-1]
+    return float(high + FREAK * (high - low))
+
+
+def beyond(values: NDArray[np.float64], most: float) -> NDArray[np.float64]:
+    """The values above the fence, largest first."""
+    return np.sort(values[values > most])[::-1]
 
 
 @dataclass(frozen=True)
 class Null:
-    """The largest evidence of any effect, and the misfit, when nothing is missing."""
+    """The largest evidence of any effect, and the misfit, when nothing is missing; `of_each`: the same law of usual
+    evidence with the freaks of that effect alone."""
 
     evidence: Tail
     misfit: Tail
+    of_each: Mapping[str, Tail]
 
     @classmethod
-    def of(cls, evidence: NDArray[np.float64], misfit: NDArray[np.float64]) -> Null:
-        values, freaks = usual(evidence)
+    def of(cls, evidence: Mapping[str, NDArray[np.float64]], misfit: NDArray[np.float64]) -> Null:
+        """From simulations of a model that lacks nothing: the evidence (simulation,) of each effect, and the misfit
+        (simulation,)."""
+        largest = np.max(list(evidence.values()), axis=0) if evidence else np.zeros_like(misfit)
+        n, most = len(misfit), fence(largest)
+        values = np.minimum(largest, most)
         scale = max(float(values.std(ddof=1)) * np.sqrt(6) / np.pi, 0.5)
-        location = float(values.mean()) - float(np.euler_gamma) * scale
-        by_chance = Tail(stats.gumbel_r(location, scale), freaks, len(values))
-        values, freaks = usual(misfit)
+        law = stats.gumbel_r(float(values.mean()) - float(np.euler_gamma) * scale, scale)
+        of_each = {kind: Tail(law, beyond(own, most), n) for kind, own in evidence.items()}
+        by_chance = Tail(law, beyond(largest, most), n)
+        most = fence(misfit)
+        values = np.minimum(misfit, most)
         mean, variance = float(values.mean()), float(values.var(ddof=1))
-        return cls(by_chance, Tail(stats.gamma(mean**2 / variance, scale=variance / mean), freaks, len(values)))
+        usual = stats.gamma(mean**2 / variance, scale=variance / mean)
+        return cls(by_chance, Tail(usual, beyond(misfit, most), n), of_each)
+
+    def evidence_of(self, kind: str) -> Tail:
+        """What chance makes an effect worth; of one that was not asked for then: any."""
+        return self.of_each.get(kind, self.evidence)

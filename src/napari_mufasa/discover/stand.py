@@ -162,7 +162,7 @@ class Stand:
         for kind, state in states.items():
             shared = {k: _shared(moved[kind], moved[k], self.state.spread) for k in states if k != kind}
             forms = SHAPE * sum(shared[k] * max(evidence[k], 0.0) for k in shared)
-            needed = max(self.null.evidence.at(FURTHER), forms)
+            needed = max(self.null.evidence_of(kind).at(FURTHER), forms)
             found[kind] = known.get(kind) or Worth(evidence[kind], state.held_out_error(self.x), needed)
         return found
 

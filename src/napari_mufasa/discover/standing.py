@@ -97,7 +97,7 @@ class Standing:
             worth, effect = stand.worths[kind], next(e for e in model.effects if e.kind == kind)
             evidence, error = max(worth.evidence, 0.0), stand.error
             share = share_of(worth.error_without, error, stand.state.floor)
-            p = stand.null.evidence.p(evidence)
+            p = stand.null.evidence_of(kind).p(evidence)
             found.append(
                 Candidate(
                     kind,
