@@ -89,7 +89,7 @@ def draw(path, title: str, first: Pair, z: np.ndarray, seen: Observation) -> Non
         bars.set_yticks(range(len(order)), [label(seen, i) for i in order])
         bars.axvline(0, color=colours.muted, linewidth=0.8)
         bars.set_xscale("symlog", linthresh=3)
-        largest = max(10.0, *(abs(float(z[i])) for i in order)) * 1.2
+        largest = max([10.0, *(abs(float(z[i])) for i in order)]) * 1.2
         bars.set_xlim(-largest, largest)
         powers = [10**n for n in range(1, int(np.log10(largest)) + 1)]
         powers = [n for n in powers if n in (powers[0], powers[-1])]

@@ -175,14 +175,12 @@ def test_drift_is_followed():
     fixed = extract_traces(made.movie, model.camera, psf_sigma_px=model.sigma_px)
     assert followed.drift_px is not None
 
-    def steadiness(found):
-        """Least light of a fifth of the movie over the largest, of the usual molecule."""
-        fifths = found.traces.reshape(len(found.traces), 5, -1).mean(axis=2)
-        return np.median(fifths.min(axis=1) / fifths.max(axis=1))
-
     assert np.hypot(*followed.drift_px[-1]) > 2.0
-    assert steadiness(followed) > 0.85
-    assert steadiness(fixed) < 0.6  # the light wanders into, or out of, a fixed aperture
+    fifths = followed.traces.reshape(len(followed.traces), 5, -1).mean(axis=2)
+    assert np.median(fifths.min(axis=1) / fifths.max(axis=1)) > 0.85  # no light wanders out of the aperture
+    # In the mean of a movie that is not followed a molecule is a line, and none of 36 or one passes for a spot.
+    assert len(followed.traces) >= 30 and len(fixed.traces) <= 3
+    assert (fixed.molecules["reason"][~fixed.kept] == "edge or line, no spot").mean() > 0.9
 
 
 @pytest.mark.parametrize(("camera", "seed"), [("emccd", 4), ("cmos", 5)])
