@@ -32,10 +32,11 @@ def small():
 
 
 def investigation(budget=None):
-    """Three strong effects are missing: far from the floor after any one of them."""
+    """Three strong effects are missing: far from the floor after any one of them. (By seed 5 the first match sees 168
+    molecules, and a freak among simulations of those rules what chance does.)"""
     model = small()
     truth = model.model_copy(update={"effects": HIDDEN})
-    movie, dark = nm.simulate(truth, seed=5).movie, nm.simulate_dark(truth, 20, 6)
+    movie, dark = nm.simulate(truth, seed=7).movie, nm.simulate_dark(truth, 20, 6)
     return Investigation(movie, model, dark, seed=2, effects=KINDS, budget=budget)
 
 
