@@ -78,18 +78,19 @@ UNDER_A_LIMIT = """
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits on a process's data are Linux's")
 def test_a_movie_larger_than_memory_streams(tmp_path, monkeypatch):
-    # 1600 frames of 160 x 160: 164 MB as float32 and as much again for the result, denoised with 120 MB to spare (80
-    # are too few). The frames repeat, so that the file is quickly made.
-    frames, side, limit = 1600, 160, 120 * 2**20
+    # 2000 frames of 160 x 160: 205 MB as float32 and as much again for the result, denoised with 180 MB to spare. (80
+    # are too few, and so were 120 once where other work kept pieces waiting: two threads read, work and write.) The
+    # frames repeat, so that the file is quickly made.
+    frames, side, limit = 2000, 160, 180 * 2**20
     hand_back_what_is_freed(monkeypatch)
     rng = np.random.default_rng(2)
-    part = record(np.full((32, side, side), 3.0), EMCCD, rng)
+    part = record(np.full((40, side, side), 3.0), EMCCD, rng)
     movie = zarr.open(
-        str(tmp_path / "in.zarr"), mode="w", shape=(frames, side, side), chunks=(32, side, side), dtype="u2"
+        str(tmp_path / "in.zarr"), mode="w", shape=(frames, side, side), chunks=(40, side, side), dtype="u2"
     )
-    for start in range(0, frames, 32):
-        movie[start : start + 32] = part
-    out = zarr.open(str(tmp_path / "out.zarr"), mode="w", shape=movie.shape, chunks=(32, side, side), dtype="f4")
+    for start in range(0, frames, 40):
+        movie[start : start + 40] = part
+    out = zarr.open(str(tmp_path / "out.zarr"), mode="w", shape=movie.shape, chunks=(40, side, side), dtype="f4")
 
     def run(*more: str) -> subprocess.CompletedProcess[str]:
         code = [sys.executable, "-c", textwrap.dedent(UNDER_A_LIMIT)]
