@@ -26,6 +26,7 @@ from napari_mufasa.traces import extract_traces
 RESULT = Path(__file__).resolve().parent / "results" / "speed.md"
 PROTOCOLS = ("PALM", "STORM", "FF", "Blinking")
 LARGE = "FF"
+TURNS = 12  # of what is compared within milliseconds
 
 
 def processor_s(run: Callable[[], object], repeats: int = 3) -> float:
@@ -72,10 +73,16 @@ def emissions(quick: bool) -> Iterator[str]:
         small, large = sized(preset, few, (256, 256), 200), sized(preset, many, (1024, 1024), 200)
         exact = processor_s(lambda m=small: SimulatedAcquisition(m, seed=1, engine="exact"), 1)
         fast = processor_s(lambda m=small: SimulatedAcquisition(m, seed=1))
-        whole = processor_s(lambda m=large: SimulatedAcquisition(m, seed=1))
         light = SimulatedAcquisition(large, seed=1).emission
         means = light[light > 0].astype(float)
-        bare = processor_s(lambda v=means: rng.poisson(v))
+        turns = [
+            (
+                processor_s(lambda m=large: SimulatedAcquisition(m, seed=1), 1),
+                processor_s(lambda v=means: rng.poisson(v), 1),
+            )
+            for _ in range(TURNS)
+        ]
+        whole, bare = np.min(turns, axis=0)  # in turns: the machine is not as fast all the time
         one, two = (clock_s(lambda m=large, w=w: SimulatedAcquisition(m, seed=1, workers=w)) for w in (1, 2))
         yield row(preset, f"{few} and {many} × 200", exact / fast, whole / max(bare, 1e-6), one / two)
 
