@@ -79,8 +79,7 @@ UNDER_A_LIMIT = """
 @pytest.mark.skipif(sys.platform != "linux", reason="limits on a process's data are Linux's")
 def test_a_movie_larger_than_memory_streams(tmp_path, monkeypatch):
     # 2000 frames of 160 x 160: 205 MB as float32 and as much again for the result, denoised with 180 MB to spare. (80
-    # are too few, and so were 120 once where other work kept pieces waiting: two threads read, work and write.) The
-    # frames repeat, so that the file is quickly made.
+    # are too few, and so were 120 once, beside other work.) The frames repeat, so that the file is quickly made.
     frames, side, limit = 2000, 160, 180 * 2**20
     hand_back_what_is_freed(monkeypatch)
     rng = np.random.default_rng(2)

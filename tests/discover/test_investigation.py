@@ -32,8 +32,8 @@ def small():
 
 
 def investigation(budget=None):
-    """Three strong effects are missing: far from the floor after any one of them. (By seed 5 the first match sees 168
-    molecules, and a freak among simulations of those rules what chance does.)"""
+    """Three strong effects are missing: far from the floor after any one of them. (By seed 5 a freak among the
+    simulations of the first match rules the misfit of chance.)"""
     model = small()
     truth = model.model_copy(update={"effects": HIDDEN})
     movie, dark = nm.simulate(truth, seed=7).movie, nm.simulate_dark(truth, 20, 6)

@@ -262,9 +262,9 @@ def poisson_row(mean, u, terms, p, below, k):  # type: ignore[no-untyped-def]
 
 @inlined
 def poisson_quantiles(mean, tail, k):  # type: ignore[no-untyped-def]
-    """Poisson for means from `SMOOTH` on, counts into k (float), all (n,): the quantile at a `tail`, by
-    the first terms of its expansion in 1/√mean about the normal's (Giles, ACM Trans. Math. Softw. 42, 7, 2016). Within
-    5e-5 of the distribution function, and without any branch; for smaller means it would give zero too often."""
+    """Poisson for means from `SMOOTH` on, counts into k (float), all (n,): the quantile at a `tail`, by the first terms
+    of its expansion in 1/√mean about the normal's (Giles, ACM Trans. Math. Softw. 42, 7, 2016). Within 5e-5 of
+    the distribution function, and without any branch; for smaller means it would give zero too often."""
     for x in range(mean.size):
         w, m = normal_quantile(tail[x]), mean[x]
         root = np.sqrt(m)
