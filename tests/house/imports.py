@@ -11,7 +11,7 @@ PACKAGE = "napari_mufasa"
 #: package (`__init__`, which gives the public names, and `__main__`) stands above all.
 FLOORS = (
     ("errors",),
-    ("checks", "provenance", "compiled"),
+    ("checks", "provenance", "compiled", "one_thread"),
     ("chance",),
     ("files",),
     ("model",),

@@ -7,13 +7,17 @@ import json
 import os
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import dask.array as da
 import numpy as np
 import pytest
+from threadpoolctl import ThreadpoolController
 
 import napari_mufasa as nm
 from napari_mufasa.model.model import Model
+from napari_mufasa.one_thread import one_thread
 from napari_mufasa.simulate import movie as simulating
 
 #: An effect of every stage, and those with chance of their own.
@@ -87,6 +91,39 @@ def test_processes_and_numbers_of_threads_agree(simulation, tmp_path):
         told.append(json.loads(ran.stdout))
     assert told[0] == told[1]
     assert told[0][0] == hashlib.sha256(simulation.movie.tobytes()).hexdigest()
+
+
+@pytest.fixture
+def two_threads():
+    """Linear algebra on two threads, whatever the machine has; set by a thread that ends: only one may hold it."""
+    libraries = ThreadpoolController().select(user_api="blas")
+    before = max(library["num_threads"] for library in libraries.info())
+
+    def take(number):
+        setter = threading.Thread(target=libraries.limit, kwargs={"limits": number})
+        setter.start()
+        setter.join()
+
+    take(2)
+    yield lambda: {library["num_threads"] for library in libraries.info()}
+    take(before)
+
+
+def test_linear_algebra_takes_one_thread_and_gives_the_others_back(two_threads):
+    assert two_threads() == {2}
+    seen = one_thread(two_threads)
+    assert one_thread(lambda: seen() | two_threads())() == {1}
+    with pytest.raises(ZeroDivisionError):
+        one_thread(lambda: 1 / 0)()
+    assert two_threads() == {2}
+
+
+def test_linear_algebra_rounds_alike_in_threads_of_their_own(two_threads):
+    matrix = np.random.default_rng(1).normal(size=(72, 300))
+    product = one_thread(lambda _: (matrix.T @ matrix).tobytes())
+    with ThreadPoolExecutor(4) as pool:
+        assert len({product(0), *pool.map(product, range(100))}) == 1
+    assert two_threads() == {2}
 
 
 #: What rounds in the last bit if anything does: photons by each method, and the simulated movie.

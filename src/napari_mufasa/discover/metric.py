@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from napari_mufasa.one_thread import one_thread
+
 Array = NDArray[np.float64]
 SOFT = 8.0
 # The least spread an observable is credited with: counts that are usually zero have none in a few simulations.
@@ -48,6 +50,7 @@ def spread_floor(names: tuple[str, ...]) -> Array:
     return np.array(floors)
 
 
+@one_thread
 def shrunk_correlation(z: Array, weight: float | None = None) -> Array:
     """Correlation of rows z (sample, observable), shrunk towards independence (Ledoit–Wolf weight by default)."""
     n, p = z.shape
@@ -63,6 +66,7 @@ def shrunk_correlation(z: Array, weight: float | None = None) -> Array:
     return result
 
 
+@one_thread
 def whitener(correlation: Array) -> Array:
     """W with W C Wᵀ = 1."""
     values, vectors = np.linalg.eigh(correlation)
@@ -95,6 +99,7 @@ def at_the_end(moves: Array, room: Array, towards: Array) -> NDArray[np.bool_]:
     return result
 
 
+@one_thread
 def adjust(
     x: Array, mean: Array, spread: Array, jacobian: Array, prior: Array, room: Array, whiten: Array, steps: int = 6,
 ) -> Adjusted:  # fmt: skip

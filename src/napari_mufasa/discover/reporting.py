@@ -18,6 +18,7 @@ from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.state import SCALES, State
 from napari_mufasa.effects import effect_class
 from napari_mufasa.model.model import Model
+from napari_mufasa.one_thread import one_thread
 
 CURVE_SEED = 7_000
 NOT_HERE = "not measurable here"  # where an observable is that the measurement or some simulation does not show
@@ -146,6 +147,7 @@ def _remaining(table: pd.DataFrame) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
+@one_thread
 def detectable(inquiry: Standing) -> dict[str, float | None]:
     """The smallest strength of each effect not in the model that this data would have shown with 80 % power, by the
     emulator; where nothing is another strength than 0, above that."""

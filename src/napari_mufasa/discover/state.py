@@ -16,6 +16,7 @@ from napari_mufasa.discover.rules import AT_FLOOR, FAR_OFF
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import PARTS
+from napari_mufasa.one_thread import one_thread
 
 Array = NDArray[np.float64]
 TAKEN = 1.5  # how far the strength of a lead that is taken up may move, in its own size
@@ -168,10 +169,12 @@ class State:
         halves = [self._held_out(x, fit, held).sum() + self._log_volume(held) for fit, held in HALVES]
         return self.score(x) + float(np.mean(halves))
 
+    @one_thread
     def _log_volume(self, part: int) -> float:
         spread = self.spread[part][self.measurable]
         return 2 * float(np.log(spread).sum() - np.linalg.slogdet(self.whiten[part])[1])
 
+    @one_thread
     def screen(self, x: Array, rays: dict[str, list[Ray]], taken: Sequence[Lead] = ()) -> dict[str, list[Lead]]:
         """Per effect: the largest fall of chi² along any ray of each of its forms, best form first.
 

@@ -17,6 +17,7 @@ from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.rules import FINITE, FOLLOWED, LEAST_FOLLOWED, LINEAR
 from napari_mufasa.discover.state import State
+from napari_mufasa.one_thread import one_thread
 
 Array = NDArray[np.float64]
 WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
@@ -39,6 +40,7 @@ def parameters_sd(library: Library, birge: float) -> dict[str, dict[str, float]]
     return found
 
 
+@one_thread
 def coordinates_sd(library: Library) -> Array:
     """(value,) standard deviations of the free values: by how much fits of simulations of the model scatter, at least
     what the linear theory says, over how far fits follow; and no more than the prior allows."""
