@@ -118,6 +118,17 @@ def stack(value: Any, name: str = "movie", *, single: bool = False) -> Any:
     return value
 
 
+def dark_stack(value: Any, shape_px: tuple[int, ...]) -> Any:
+    """Dark frames (frame, y, x) of a movie whose frames are `shape_px` (y, x); one image (y, x) becomes one frame."""
+    dark = stack(value, "dark", single=True)
+    if tuple(dark.shape[1:]) != tuple(shape_px):
+        raise MufasaError(
+            f"dark has shape {tuple(dark.shape)}, the movie's frames are {tuple(shape_px)}: "
+            "give dark frames of the same region (frame, y, x)"
+        )
+    return dark
+
+
 def unread(stack: Any) -> Any:
     """The stack, parts of which can be taken without reading them (a slice of zarr, or of its like, would be read), and
     are read in its own chunks."""

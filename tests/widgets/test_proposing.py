@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from tests.widgets.helpers import add_movie
 
@@ -78,4 +79,14 @@ def test_a_model_that_cannot_be_the_movies_is_warned_of(with_movie, open_panel, 
     qtbot.waitUntil(lambda: "darkest pixels" in doubts.text(), timeout=20_000)
     assert "another camera" in doubts.text()
     session.set_model(preset("FF").with_values({"camera": bright_model.camera.model_dump()}), "its own camera")
+    qtbot.waitUntil(lambda: not doubts.text(), timeout=20_000)
+
+
+def test_dark_frames_of_another_region_are_told_before_they_are_used(with_movie, open_panel, qtbot):
+    panel = open_panel(DataPanel, with_movie)
+    with_movie.window._qt_window.show()
+    session, doubts = session_of(with_movie), panel.findChild(Doubts)
+    session.set_dark(with_movie.add_image(np.full((20, 24, 24), 300, np.uint16), name="dark of elsewhere"))
+    qtbot.waitUntil(lambda: "same region" in doubts.text(), timeout=20_000)
+    session.set_dark(None)
     qtbot.waitUntil(lambda: not doubts.text(), timeout=20_000)

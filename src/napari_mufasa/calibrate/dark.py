@@ -15,7 +15,7 @@ from napari_mufasa.calibrate.law import Law
 from napari_mufasa.calibrate.rows import Correlations, Products
 from napari_mufasa.calibrate.sample import counts, window
 from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
-from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.errors import Cancelled
 
 TAIL_SD = 5.0
 MOST_COUNTS = 2**24  # that are looked at one by one …
@@ -139,16 +139,6 @@ def _frames_of(stacks: Sequence[Any], cancel: Callable[[], bool] | None) -> Iter
             if cancel is not None and cancel():
                 raise Cancelled
             yield from counts(stack[start : start + step], "dark frames").astype(np.float64)
-
-
-def checked_dark(dark: Any, shape: tuple[int, ...], cancel: Callable[[], bool] | None = None) -> DarkFrames:
-    """Dark frames (frame, y, x); raises `MufasaError` where they do not fit the movie."""
-    found = tuple(dark.shape)
-    if len(found) != 3 or found[1:] != tuple(shape):
-        raise MufasaError(f"dark has shape {found}, the movie's frames are {tuple(shape)}: give the same region")
-    if 0 in found:
-        raise MufasaError(f"dark has shape {found}: give at least one dark frame, better 50")
-    return DarkFrames.of([dark], cancel=cancel)
 
 
 def measure_dark(

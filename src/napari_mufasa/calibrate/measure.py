@@ -19,7 +19,7 @@ from napari_mufasa import checks
 from napari_mufasa.calibrate import rows
 from napari_mufasa.calibrate.assessment import Assumed, assessed, kernel_of, weights_of
 from napari_mufasa.calibrate.codes import code_widths, saturated_pixels, saturation_adu
-from napari_mufasa.calibrate.dark import Dark, DarkFrames, checked_dark, measure_dark
+from napari_mufasa.calibrate.dark import Dark, DarkFrames, measure_dark
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.instrument import camera_of
 from napari_mufasa.calibrate.kind import doubt
@@ -81,8 +81,8 @@ def calibrate(
         raise MufasaError(f"movie has shape {shape}: calibration needs at least 4 frames (frame, y, x)")
     check_given(camera_type, em_gain, electrons_per_adu, quantum_efficiency, excess_noise_factor, baseline_adu)
     if dark is not None:
-        dark = checks.stack(dark, "dark")
-        if dark.shape[1:] == shape[1:] and (told := light_in_dark(movie, dark)):
+        dark = checks.dark_stack(dark, shape[1:])
+        if told := light_in_dark(movie, dark):
             warnings.warn(told, stacklevel=2)
     kernel = None if readout_kernel is None else tuple(float(share) for share in readout_kernel)
     assumed = Assumed(excess_noise_factor, kernel, clock_induced_charge_e, baseline_adu, read_noise_adu)
@@ -107,7 +107,7 @@ def calibrate(
         lit[:, : rows.LAGS] = False  # what was read before them is not in the movie
     frames, shaded, seen_dark = None, None, None
     if dark is not None:
-        frames = checked_dark(dark, shape[1:], cancel)
+        frames = DarkFrames.of([dark], cancel=cancel)
     elif baseline_adu is None and register:
         shaded = shadow(chunks)
         frames = None if shaded is None else DarkFrames.of(chunks, shaded)

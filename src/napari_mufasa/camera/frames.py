@@ -185,12 +185,7 @@ def with_dark_baseline(camera: Camera, dark: Any, shape_px: tuple[int, ...], uni
 
     The recorded dark mean is BL − ½ (the ADC rounds down) + what clock-induced charge adds.
     """
-    dark = checks.stack(dark, "dark", single=True)
-    if tuple(dark.shape[1:]) != tuple(shape_px):
-        raise MufasaError(
-            f"dark has shape {tuple(dark.shape)}, the movie's frames are {tuple(shape_px)}: "
-            "give dark frames of the same region (frame, y, x)"
-        )
+    dark = checks.dark_stack(dark, shape_px)
     recorded = _mean_adu(dark, camera)
     if not (np.isfinite(recorded) and recorded >= -0.5):
         raise MufasaError("dark frames hold values that are negative or no numbers: give the raw counts (ADU)")

@@ -41,7 +41,7 @@ class Measurement:
 def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     """Check and crop. Lazy arrays are read only where needed. Raises `MufasaError` on unusable input."""
     movie = checks.stack(movie)
-    shape = _check(movie, "movie")
+    shape = _shape(movie)
     notes = []
     frames = min(shape[0], FRAMES)
     if frames < LEAST_FRAMES:
@@ -65,17 +65,12 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         region, shape = (slice(0, len(data)), rows, columns), (shape[0] - first, *shape[1:])
         notes.append(f"Frames 0 to {first - 1} are dark: they are taken as dark frames, the others as the movie.")
     if dark is not None:
-        dark = checks.stack(dark, "dark")
-        dark_shape = _check(dark, "dark stack")
-        if dark_shape[1:] != shape[1:]:
-            raise MufasaError(
-                f"dark frames are {dark_shape[1:]} pixels, the movie {shape[1:]}: record both with the same region"
-            )
-        if dark_shape[0] < LEAST_DARK:
-            raise MufasaError(f"{dark_shape[0]} dark frames are too few: give at least {LEAST_DARK}, better 50")
+        dark = checks.dark_stack(dark, shape[1:])
+        if (n_dark := int(dark.shape[0])) < LEAST_DARK:
+            raise MufasaError(f"too few dark frames ({n_dark}): give at least {LEAST_DARK}, better 50")
         if told := light_in_dark(movie, dark):
             warnings.warn(told, stacklevel=3)
-        dark_data = _counts(np.asarray(dark[: min(dark_shape[0], DARK_FRAMES), rows, columns]), "dark stack", model)
+        dark_data = _counts(np.asarray(dark[:DARK_FRAMES, rows, columns]), "dark stack", model)
     whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
     here = whole.in_shape(region=region).with_values({"sample.layout": "random"})
     return Measurement(data, dark_data, here, tuple(notes), Extent.of(region, shape))
@@ -102,10 +97,10 @@ def _lit_from(movie: NDArray[np.uint16], model: Model) -> int:
     return first if dark and float(np.median(rise)) > ALL_OVER * float(rise.mean()) else 0
 
 
-def _check(movie: Any, what: str) -> tuple[int, int, int]:
+def _shape(movie: Any) -> tuple[int, int, int]:
     n_frames, height, width = (int(n) for n in movie.shape)
     if min(height, width) < 24:
-        raise MufasaError(f"the {what} is {height} × {width} pixels: a diagnosis needs at least 24 × 24")
+        raise MufasaError(f"the movie is {height} × {width} pixels: a diagnosis needs at least 24 × 24")
     return n_frames, height, width
 
 

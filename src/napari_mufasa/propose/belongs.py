@@ -44,11 +44,11 @@ def mismatches(movie: Any, model: Model, dark: Any = None, instrument: Instrumen
 
     Looks at `FRAMES` frames of the movie, and as many dark ones, in the middle of large fields. dark : dark frames,
     instrument : what the recording software wrote; None: unknown. Raises `MufasaError` for what is no movie of finite
-    numbers.
+    numbers, and dark frames of another region.
     """
     movie = checks.stack(movie, single=True)
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
-    dark = None if dark is None else checks.stack(dark, "dark", single=True)
+    dark = None if dark is None else checks.dark_stack(dark, movie.shape[1:])
     found: list[Mismatch] = []
     n = int(movie.shape[0])
     start = max(0, (n - FRAMES) // 2)

@@ -1,4 +1,4 @@
-"""A warning where the movie chosen and the model believed cannot belong together."""
+"""A warning where the movie chosen and the dark frames or the model believed cannot belong together."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ WAIT_MS = 400
 
 
 class Doubts(Words):
-    """Compares movie and model anew, in a thread, when either changes and the panel is seen; takes no room while there
-    is nothing to say."""
+    """Compares movie, dark frames and model anew, in a thread, when one of them changes and the panel is seen; takes no
+    room while there is nothing to say."""
 
     def __init__(self, session: Session, panel: QWidget) -> None:
         super().__init__("")
@@ -45,5 +45,7 @@ class Doubts(Words):
         return compared
 
     def _tell(self, outcome: Outcome) -> None:
-        found = outcome.value if outcome.error is None else []
-        self.say(mismatch_line(self.session.model_origin, found), error=True)
+        if outcome.error is None:
+            self.say(mismatch_line(self.session.model_origin, outcome.value), error=True)
+        else:
+            self.say(str(outcome.error) if isinstance(outcome.error, MufasaError) else "", error=True)
