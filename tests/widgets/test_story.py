@@ -10,6 +10,7 @@ import pytest
 from qtpy.QtCore import Qt
 
 from napari_mufasa.model.model import Model
+from napari_mufasa.widgets.parts.findings import CLICK
 from napari_mufasa.widgets.turns.session import session_of
 from napari_mufasa.widgets.workflow import STEPS
 
@@ -76,13 +77,15 @@ def test_hidden_effect_from_open_sample_to_the_floor(viewer, run, qtbot, tmp_pat
 
     # where it fails: a click shows the observable measured and simulated, and its place in the image
     places = set()
+    assert panel.where.place.text() == CLICK
     for row in range(panel.where.failing.rowCount()):
         panel.where.failing.selectRow(row)
         panel.where.failing.cellClicked.emit(row, 0)
         assert panel.where.curve.drawn
         shown = [layer.name for layer in viewer.layers if layer.name.startswith("where: ") and layer.visible]
         assert len(shown) <= 1  # the place of the observable that is chosen, and no other
-        assert panel.where.place.text() and (not shown or shown[0] in panel.where.place.text())
+        told = panel.where.place.text()
+        assert told not in ("", CLICK) and (not shown or shown[0] in told)
         places.update(shown)
     assert places
     panel.where.in_image.setChecked(False)

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from napari_mufasa.discover.result import Candidate, Report
 
 NOT_CHECKED = "Diagnosed apart, do other data of the same set-up say the same?"
+CLICK = "Click an observable to see its place."
 COLUMNS = ("x", "measured", "before", "before_sd", "after", "after_sd")
 
 
@@ -53,7 +54,7 @@ class WherePage(QWidget):
 
     def show_report(self, report: Report) -> None:
         self.report = report
-        self.place.say("")
+        self.place.say(CLICK if report.failing and self.in_image.isChecked() else "")
         self.failing.setColumnHidden(2, not report.chosen)
         self.failing.fill(failing_rows(report))
         if report.failing:
