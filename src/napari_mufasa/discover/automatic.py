@@ -102,15 +102,19 @@ def diagnose_traces(
 
 def play(inquiry: Investigation, max_effects: int | None) -> Report:
     """The whole conversation, by one way and, where that leaves something unexplained, by a second: what it has
-    ended with begun afresh. The one that leaves less error is kept, and what was spared in it for the budget's sake
-    is judged; its values are told from where they have come to. Where simulations are cheap, one way has all the
-    budget: values are matched again beside every effect there, which leaves them less room to go astray."""
+    ended with begun afresh. Half of the budget is kept for that, but where the first way is near when its own half
+    ends it, it goes on with what is left. The one that leaves less error is kept, and what was spared in it for the
+    budget's sake is judged; its values are told from where they have come to. Where simulations are cheap, one way has
+    all the budget: values are matched again beside every effect there, which leaves them less room to go astray."""
     inquiry.examine()
     ranking = inquiry.rank(0)
     twice = not inquiry.bench.is_cheap
     inquiry.reserve = inquiry.left // 2 if twice else 0
     _one_way(inquiry, max_effects)
+    cut_short = twice and inquiry.chosen and not inquiry.affords(1)
     inquiry.reserve = 0
+    if cut_short and not inquiry.stand.far_off:
+        _one_way(inquiry, max_effects)
     first_way = inquiry.stands
     unexplained = inquiry.chosen and not inquiry.stand.content
     if twice and unexplained and (inquiry.begin_afresh() or inquiry.stand.far_off):
