@@ -530,6 +530,16 @@ def test_what_a_first_way_leaves_unexplained_is_gone_at_a_second_time_with_half_
     assert play(cheap, None) == ["0 of 100 kept", "take up one", "judge", "judge"]
 
 
+@pytest.mark.parametrize(("far_off", "on"), [((), True), ((1,), False)])
+def test_a_first_way_that_its_half_of_the_budget_ends_goes_on_with_all_where_it_is_near(far_off, on):
+    both = TwoWays(1.4, far_off=far_off)
+    both.ahead = ["one", "two"]
+    both.affords = lambda n: not (both.reserve and both.chosen)
+    told = [words for words in play(both, None) if words not in ("drop the useless", "judge")]
+    after = ["0 of 100 kept", "take up two"]
+    assert told == ["50 of 100 kept", "take up one", *([*after, "afresh"] if on else ["afresh", *after])]
+
+
 def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():
     """Values that were led astray do not come along; what the effects have come to does."""
     inquiry = investigation()

@@ -113,7 +113,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
     _one_way(inquiry, max_effects)
     cut_short = twice and inquiry.chosen and not inquiry.affords(1)
     inquiry.reserve = 0
-    if cut_short and not inquiry.stand.far_off:
+    if cut_short and inquiry.affords(1) and not inquiry.stand.far_off:
         _one_way(inquiry, max_effects)
     first_way = inquiry.stands
     unexplained = inquiry.chosen and not inquiry.stand.content
