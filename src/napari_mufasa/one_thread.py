@@ -19,7 +19,8 @@ _TURN = threading.RLock()
 
 
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, with its linear algebra on one thread; where several threads call such functions, in turns."""
+    """The function, with its linear algebra on one thread; where several threads call such functions, in turns: it must
+    not wait for another thread."""
 
     @wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -40,17 +40,22 @@ def parameters_sd(library: Library, birge: float) -> dict[str, dict[str, float]]
     return found
 
 
-@one_thread
 def coordinates_sd(library: Library) -> Array:
     """(value,) standard deviations of the free values: by how much fits of simulations of the model scatter, at least
     what the linear theory says, over how far fits follow; and no more than the prior allows."""
     loose = _loose(library.base)
     fits = np.array([loose.adjusted(row).moves for row in (*library.rows, *loose.check)])
-    slope = loose.whiten[0] @ (loose.slopes[0] / loose.spread[0][:, None])
-    linear = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope + np.diag(1 / loose.prior**2))))
-    widths = np.maximum(fits.std(axis=0, ddof=1), linear)
+    widths = np.maximum(fits.std(axis=0, ddof=1), _linear_sd(loose))
     known = _followed(library, loose, fits, widths) / widths
     result: Array = 1 / np.sqrt(known**2 + 1 / loose.prior**2)
+    return result
+
+
+@one_thread
+def _linear_sd(state: State) -> Array:
+    """(value,) what the linear theory says."""
+    slope = state.whiten[0] @ (state.slopes[0] / state.spread[0][:, None])
+    result: Array = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope + np.diag(1 / state.prior**2))))
     return result
 
 
