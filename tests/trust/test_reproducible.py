@@ -121,8 +121,10 @@ def test_linear_algebra_takes_one_thread_and_gives_the_others_back(two_threads):
 def test_linear_algebra_rounds_alike_in_threads_of_their_own(two_threads):
     matrix = np.random.default_rng(1).normal(size=(72, 300))
     product = one_thread(lambda _: (matrix.T @ matrix).tobytes())
+    threads = one_thread(lambda _: two_threads())
     with ThreadPoolExecutor(4) as pool:
         assert len({product(0), *pool.map(product, range(100))}) == 1
+        assert [*pool.map(threads, range(100))] == [{1}] * 100
     assert two_threads() == {2}
 
 
