@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from napari_mufasa.model.setup import Camera
 
-LAG = 4  # frames between the two that are compared: molecules have moved on, cells have not
+LAG = 8  # frames between the two that are compared: molecules have moved on, cells have not
 WINDOW = 2 * LAG
 MOST_WINDOWS = 60
 LEAST_WINDOWS = 5
@@ -35,13 +35,14 @@ def fluctuation_width(movie: Any, camera: Camera) -> Value:
     Molecules that are independent of one another fluctuate together in all the pixels that one of them lights: the
     covariance over space is A exp(−r²/4σ²), the PSF with itself, and noise has none (Petersen et al., Biophys. J. 65,
     1135, 1993, doi:10.1016/S0006-3495(93)81173-1). What all pixels share, as the light's flicker, is taken off first;
-    a second, broad Gaussian stands for what is out of focus. Molecules that move by no more than the PSF's width in
-    `LAG` frames make it a tenth too small, which the interval has room for; slower ones are seen as spots.
+    a second, broad Gaussian stands for what is out of focus. Molecules that move along an axis by no more than one and
+    a half times the PSF's width in `LAG` frames make it a tenth too small, which the interval has room for; slower ones
+    are seen as spots.
     Holds `WINDOW` frames and their transforms at a time, of large frames the middle.
     """
     part = window(movie.shape[1:])
     camera = camera.of_part(*part)
-    starts = np.arange(0, movie.shape[0] - WINDOW + 1, WINDOW)
+    starts = np.arange(0, movie.shape[0] - WINDOW + 1, LAG)
     if len(starts) < LEAST_WINDOWS or min(movie.shape[1:]) < 2 * REACH_PX:
         return UNKNOWN
     chosen = starts[np.unique(np.linspace(0, len(starts) - 1, MOST_WINDOWS).astype(int))]
