@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.calibrate import histogram, rows, transfer, unlit
 from napari_mufasa.calibrate.dark import Dark
-from napari_mufasa.calibrate.found import Calibration, Readout
+from napari_mufasa.calibrate.found import LEVEL, Calibration, Readout
 from napari_mufasa.calibrate.histogram import Fit
 from napari_mufasa.calibrate.law import Law
 from napari_mufasa.calibrate.light import Light
@@ -22,7 +22,7 @@ from napari_mufasa.errors import MufasaError
 
 Array = NDArray[np.float64]
 LARGEST_MISFIT = 0.006  # share of counts elsewhere than the law says, above which its shape tells no excess noise
-REJECTED = 0.006  # p-value below which a histogram is not believed: three tests at 2 %
+REJECTED = LEVEL / 3  # p-value below which a histogram is not believed: one of three tests
 COARSE_ADU = 0.5  # read noise below which dark counts tell level and variance only as the baseline lies between them
 COARSE_LEVEL_ADU, COARSE_VARIANCE = 0.2, 0.1  # whole counts: rms errors of both, by rounding a noise of 0.2 ADU
 MOST_UNSURE = 1.0  # of the light's variance, that of a read noise anywhere in its interval: no conversion is told then
