@@ -73,7 +73,11 @@ def test_a_drift_that_dark_frames_do_not_show_is_not_looked_for_there():
     drifting = model.with_effects(effect_class("baseline_drift")(drift_adu=8.0))
     movie = nm.simulate(drifting, seed=1).movie
     before, apart = nm.simulate_dark(drifting, 40, 2), nm.simulate_dark(model, 40, 2)
-    assert "in_dark" not in MovieBench(prepare(movie, model, before), 1).read_off("baseline_drift")
+    seen = MovieBench(prepare(movie, model, before), 1).read_off("baseline_drift")
+    assert "in_dark" not in seen
+    # 40 frames before a movie of 60 that rises by 8: eight values, the last of them 0. All within 4.5 of their sd.
+    noise = before.std() * np.sqrt(2 / (5 * 48 * 48))
+    assert seen["dark_course"] == pytest.approx(-8 * np.arange(35, -1, -5) / 59, abs=4.5 * noise)
     assert MovieBench(prepare(movie, model, apart), 1).read_off("baseline_drift")["in_dark"] == 0.0
     assert "in_dark" not in MovieBench(prepare(movie, model, None), 1).read_off("baseline_drift")
 

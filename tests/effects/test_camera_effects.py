@@ -308,6 +308,16 @@ def test_dark_frames_do_not_share_the_course_that_was_seen_in_the_movie_but_wand
     assert np.abs(courses[0] - courses[1]).max() > 10
 
 
+def test_a_baseline_that_was_seen_to_wander_in_the_dark_does_so_there_alone():
+    drift = effect("baseline_drift", drift_adu=30.0, form="wandering", course=(0.0, 1.0), dark_course=(-8.0, 4.0, 0.0))
+    as_long = {"acquisition.n_frames": 99}
+    before = dark(drift, shape=(8, 8), **as_long).mean(axis=(1, 2))  # counts are rounded down
+    assert before[[16, 49, 82]] - before[-1] == pytest.approx([-8, 4, 0], abs=1.0)
+    movie = flat(drift, shape=(64, 64), **as_long).mean(axis=(1, 2))
+    assert movie[[24, 74]] - movie[24] == pytest.approx([0, 30], abs=2.0)
+    assert not np.any(dark(drift.model_copy(update={"in_dark": 0.0}), shape=(8, 8), **as_long))
+
+
 @pytest.mark.parametrize(
     ("form", "first", "quarter"), [("linear", -15.15, -11.36), ("saturating", -53.29, -33.17), ("step", 0.0, 0.0)]
 )

@@ -9,6 +9,7 @@ from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from napari_mufasa.calibrate.codes import code_widths
 from napari_mufasa.calibrate.rows import dark_rows
@@ -20,6 +21,7 @@ from napari_mufasa.discover.read_off import (
     DRIFTS,
     RELIEFS,
     background_beyond,
+    dark_course,
     drift_beyond,
     in_scale_of,
     read_off,
@@ -84,6 +86,7 @@ class MovieBench(Bench[Observation]):
         self._beyond: dict[str, dict[str, dict[str, Any]]] = {}
         self._left: dict[tuple[bool, str], Observation] = {}
         self._widths: dict[str, tuple[float, ...]] = {}
+        self._drifts: dict[str, dict[str, Any]] = {}
         dark_frames = 0 if measurement.dark is None else len(measurement.dark)
         self._simulated = SimulatedMovies(measurement.model, dark_frames)
         measured = observe(measurement.movie, measurement.model, measurement.dark)
@@ -133,15 +136,27 @@ class MovieBench(Bench[Observation]):
             found = read_off(kind, seen.only(part))
             if part != "all":
                 found = in_scale_of(read_off(kind, seen), found)
-            if kind == "baseline_drift" and self._dark_is_apart:
-                found |= {"in_dark": 0.0}
+            if kind == "baseline_drift":
+                found |= self._dark_drift(part)
         extent = self.start.effects_refer_to
         return found if extent is None else told_for(extent, found)
 
-    @cached_property
-    def _dark_is_apart(self) -> bool:
-        """Have dark frames no part in a drift, for they were taken apart from the movie?"""
-        return self.measurement.dark is not None and stands_still(self.measurement.dark)
+    def _dark_drift(self, part: str) -> dict[str, Any]:
+        """A baseline's course in dark frames; it has no part in them where they stand still, for they were then taken
+        apart from the movie."""
+        dark = self.measurement.dark
+        if dark is None:
+            return {}
+        if part not in self._drifts:
+            apart = stands_still(dark)
+            self._drifts[part] = (
+                {"in_dark": 0.0} if apart else {"dark_course": dark_course(dark[:, self._pixels(part)])}
+            )
+        return self._drifts[part]
+
+    def _pixels(self, part: str) -> NDArray[np.bool_]:
+        """(y, x) those of a part."""
+        return np.isin(checkerboard(self.measurement.movie.shape[1:]), PART_LABELS[PARTS.index(part)])
 
     @cached_property
     def _dark_rows(self) -> dict[str, Any]:
@@ -156,7 +171,7 @@ class MovieBench(Bench[Observation]):
     def _code_widths(self, part: str) -> tuple[float, ...]:
         if part not in self._widths:
             stacks = [stack for stack in (self.measurement.movie, self.measurement.dark) if stack is not None]
-            there = np.isin(checkerboard(stacks[0].shape[1:]), PART_LABELS[PARTS.index(part)])
+            there = self._pixels(part)
             self._widths[part] = code_widths([stack[:, there] for stack in stacks])
         return self._widths[part]
 

@@ -374,6 +374,15 @@ def stands_still(dark: NDArray[Any]) -> bool:
     return bool(abs(drift) < OFF * (course[2:] - course[:-2]).std() / np.sqrt(third))
 
 
+def dark_course(dark: NDArray[Any]) -> tuple[float, ...]:
+    """How the offset (ADU) of dark frames (frame, pixel) comes to that of the last of them; () of too few frames."""
+    n = min(VALUES, len(dark) // FEWEST)
+    if n < FEWEST:
+        return ()
+    values = np.array([part.mean() for part in np.array_split(dark.mean(axis=1, dtype=np.float64), n)])
+    return tuple((values - values[-1]).round(3).tolist())
+
+
 READERS: dict[str, Reader] = {
     "illumination_profile": uneven_light,
     "background_gradient": uneven_background,

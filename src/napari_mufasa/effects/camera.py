@@ -14,7 +14,7 @@ from pydantic import Field
 
 from napari_mufasa.camera.detector import Stack, multiplication_noise
 from napari_mufasa.effects import pattern
-from napari_mufasa.effects.courses import drifted, seen_path, settling, step_length, step_time
+from napari_mufasa.effects.courses import drifted, seen_path, settling, step_length, step_time, told
 from napari_mufasa.model.effect import Effect, parameter
 from napari_mufasa.model.setup import Setup
 from napari_mufasa.photophysics.rates import excitation_rate
@@ -264,6 +264,11 @@ class BaselineDrift(Effect):
         description="its share in dark frames: 1 they were taken just before the movie, 0 apart from it",
     )
     course: tuple[float, ...] = seen_path()
+    dark_course: tuple[float, ...] = Field(
+        (),
+        description="ADU at equal times of the dark frames, 0 where the movie begins; () at random",
+        json_schema_extra={"forms": ["wandering"]},
+    )
     form: Literal["linear", "saturating", "step", "wandering"] = "linear"
 
     def in_the_dark(self) -> Effect:
@@ -275,6 +280,10 @@ class BaselineDrift(Effect):
             self.drift_adu, self.form, scene, rng, self.step_at, self.step_frames, self.settling_time,
             self.course,
         )  # fmt: skip
+        before = scene.elapsed < 0
+        if self.form == "wandering" and self.dark_course and not self.course and before.any():
+            frames = np.arange(before.sum()) + 0.5
+            drift_adu[before] = self.in_dark * told(self.dark_course, frames / len(frames))
         offset_e = (drift_adu * scene.setup.camera.electrons_per_adu).astype(np.float32)
         scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
 
