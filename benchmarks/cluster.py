@@ -29,7 +29,7 @@ from napari_mufasa import files
 from napari_mufasa.batch import Entry, Settings, run
 
 Work = Callable[[Client, Callable[[int, int], None] | None], str]
-#: The library tells its workers to give memory back at once, and a simulation asks for it again: a third more work.
+#: The library tells its workers to give memory back at once, and simulations ask for it again and again.
 MEMORY = {"MALLOC_TRIM_THRESHOLD_": "67108864", "MALLOC_MMAP_THRESHOLD_": "33554432"}
 EFFECTS = ["stage_drift", "laser_drift", "triplet_blinking"]
 

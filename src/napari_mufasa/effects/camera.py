@@ -280,8 +280,8 @@ class BaselineDrift(Effect):
             self.drift_adu, self.form, scene, rng, self.step_at, self.step_frames, self.settling_time,
             self.course,
         )  # fmt: skip
-        before = scene.elapsed < 0
-        if self.form == "wandering" and self.dark_course and not self.course and before.any():
+        if self.form == "wandering" and self.dark_course and not self.course:  # see `in_the_dark`
+            before = scene.elapsed < 0
             frames = np.arange(before.sum()) + 0.5
             drift_adu[before] = self.in_dark * told(self.dark_course, frames / len(frames))
         offset_e = (drift_adu * scene.setup.camera.electrons_per_adu).astype(np.float32)
