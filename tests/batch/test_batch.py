@@ -123,6 +123,30 @@ def test_a_movie_that_cannot_be_done_is_told_and_the_others_are_done(folder, cap
     assert "<th>Problem</th>" in (folder / "out/summary.html").read_text()
 
 
+def test_where_no_movie_can_be_done_the_tables_say_why(tmp_path, capsys):
+    small().to_json(tmp_path / "model.json")
+    (tmp_path / "bad.tif").write_bytes(b"II*\0 no movie")
+    shared = ("batch", tmp_path, "--model", tmp_path / "model.json", "--do", "denoise", "--out", tmp_path / "out")
+    code, _, err = cli(capsys, *shared)
+    assert code == 2 and "1 of 1 movies" in err and len(err.strip().splitlines()) == 1
+    assert pd.read_csv(tmp_path / "out/summary.csv")["problem"].notna().all()
+
+
+def test_a_movie_of_one_molecule_has_no_floor_and_the_others_are_done(tmp_path, capsys):
+    lone = {"sample.n_molecules": 1, "acquisition.n_frames": 30, "acquisition.shape_px": (32, 32),
+            "excitation.power_density_w_per_cm2": 20.0, "fluorophore.cycles_before_bleaching": None}  # fmt: skip
+    model = nm.preset("FF").with_values(lone)
+    model.to_json(tmp_path / "model.json")
+    movie = nm.simulate(model, positions_px=[[15.2, 16.1]], seed=1).movie
+    (tmp_path / "movies").mkdir()
+    for name in "ab":
+        files.write_movie(tmp_path / "movies" / f"{name}.tif", [movie], movie.shape, np.uint16)
+    shared = ("batch", tmp_path / "movies", "--model", tmp_path / "model.json", "--do", "compare")
+    code, out, _ = cli(capsys, *shared, "--out", tmp_path / "out")
+    assert code == 0 and out.count("(no floor)") == 2
+    assert pd.read_csv(tmp_path / "out/summary.csv")["w1"].notna().all()
+
+
 def test_a_model_that_cannot_be_a_movies_is_told_with_the_movie(folder, capsys):
     other = small().with_values({"camera.baseline_adu": 15000.0, "acquisition.n_frames": 50})
     other.to_json(folder / "other.json")

@@ -759,6 +759,32 @@ BAD = {
         ],
         "stage_drift is given more than once",
     ),
+    "a parameter of an effect twice": (
+        ["simulate", "--preset", "FF", "--effect", "stage_drift:distance_px=1,distance_px=5", "--out", "OUT/m.tif"],
+        "distance_px twice",
+    ),
+    "another kind as a parameter": (
+        ["simulate", "--preset", "FF", "--effect", "stage_drift:kind=laser_drift", "--out", "OUT/m.tif"], "kind twice",
+    ),
+    "truth in the movie's place": (
+        ["simulate", "--preset", "FF", "--frames", "2", "--out", "OUT/v.tif", "--truth", "OUT/v.tif"],
+        "same output twice",
+    ),
+    "a solved model and a bad sweep": (
+        ["design", "--model", "MODEL", "--target", "snr_spot=1", "--out-model", "OUT/m.json", "--vary", "foo.bar=1"],
+        "foo",
+    ),
+    "a figure over words": (
+        ["design", "--model", "MODEL", "--vary", "protocol=FF,STORM", "--out", "OUT/t.csv", "--figure", "OUT/f.png"],
+        "FF of protocol has no place",
+    ),
+    "a figure over nothing": (
+        [
+            "design", "--model", "MODEL", "--vary", "fluorophore.cycles_before_bleaching=null,1000",
+            "--vary", "excitation.power_density_w_per_cm2=1,10", "--out", "OUT/t.csv", "--figure", "OUT/f.png",
+        ],
+        "null of fluorophore",
+    ),
     "bad sweep": (["design", "--model", "MODEL", "--vary", "power"], "PATH=V1,V2"),
 }  # fmt: skip
 

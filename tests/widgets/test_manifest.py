@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 import numpy as np
 import pytest
+from magicgui.widgets import FunctionGui
 from npe2 import PluginManifest
+from npe2.manifest.utils import import_python_name
 
 from napari_mufasa import files
 from napari_mufasa.files.layers import get_reader, read_layers
@@ -46,6 +49,15 @@ def test_menus_are_ones_napari_shows(manifest):
 def test_every_widget_opens(viewer, name):
     dock, widget = viewer.window.add_plugin_dock_widget("napari-mufasa", name)
     assert widget.isVisibleTo(dock)
+
+
+@pytest.mark.parametrize("name", WIDGETS[1:])
+def test_every_step_of_the_manifest_is_a_magicgui_widget_where_there_is_no_viewer(manifest, qapp, name):
+    (command,) = (widget.command for widget in manifest.contributions.widgets if widget.display_name == name)
+    (made_by,) = (one.python_name for one in manifest.contributions.commands if one.id == command)
+    widget = import_python_name(made_by)()
+    assert isinstance(widget, FunctionGui)
+    assert widget.asdict().keys() == inspect.signature(widget._function).parameters.keys()
 
 
 def test_reader_restores_the_model_and_stays_lazy(tmp_path, viewer, bright_model, bright_movie):

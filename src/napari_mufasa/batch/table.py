@@ -182,6 +182,7 @@ def write_tables(out: Path, results: Sequence[Result], title: str) -> None:
     from napari_mufasa.report.batch import render
 
     movies, conditions, apart = movie_table(results), condition_table(results), difference_table(results)
+    out.mkdir(parents=True, exist_ok=True)  # it is not there yet where no movie came to its first result
     files.write_table(out / "summary.csv", movies)
     files.write_table(out / "effects.csv", effect_table(results))
     files.write_table(out / "conditions.csv", conditions)

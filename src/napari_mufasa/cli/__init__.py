@@ -28,8 +28,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = lambda message, category, *_, **__: notes.collect(message, category)
         code = _run(arguments, debug)
-    if code == DONE:  # what went wrong is told in one line
+    if code in (DONE, STOPPED):  # what went wrong is told in one line
         notes.tell(notes.so_far())
+    if code == STOPPED:
+        _say(_stopped_line(arguments), STOPPED)
     raise SystemExit(code)
 
 
@@ -56,9 +58,9 @@ def _run(arguments: list[str], debug: bool) -> int:
             result = app(spread_lists(arguments), prog_name="napari-mufasa", standalone_mode=False)
         sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt, Cancelled):
-        return _say(_stopped_line(arguments), STOPPED)
+        return STOPPED
     except typer.Exit as leaving:  # typer's own for Ctrl-C, too
-        return leaving.exit_code if leaving.exit_code != STOPPED else _say(_stopped_line(arguments), STOPPED)
+        return leaving.exit_code
     except MufasaError as error:
         return _say(str(error), BAD_INPUT, debug)
     except (BrokenPipeError, SystemExit):  # the reader of our output (head, less) has left; typer exits for that

@@ -92,8 +92,9 @@ def _line(result: Result, steps: tuple[str, ...]) -> str:
     parts = []
     if "molecules" in told:
         parts.append(f"{told['molecules']} molecules")
-    if "w1" in told:
-        parts.append(f"W1 {told['w1']:.3g} (floor {told['w1_floor']:.3g})")
+    if told.get("w1") is not None:
+        floor = told["w1_floor"]  # none of fewer than two molecules
+        parts.append(f"W1 {told['w1']:.3g} ({'no floor' if floor is None else f'floor {floor:.3g}'})")
     if "verdict" in told:
         found = "; ".join(strength_text(one) or one["effect"] for one in told["effects"]) or told["verdict"]
         parts.append(f"{found}, error {told['error_before']:.3g} → {told['error_after']:.3g}")

@@ -71,7 +71,8 @@ def working(title: str, scheduler: str | None = None) -> Iterator[Work]:
             before_work = notes.so_far()
 
             def goes_on(done: int, total: int) -> None:
-                notes.tell(before_work)
+                if sys.stderr.isatty():  # else notes wait for the end, for a failure is told by its one line
+                    notes.tell(before_work)
                 progress(done, total)
 
             yield Work(goes_on, stop.is_set, client)
@@ -185,6 +186,8 @@ def effect_from_text(model: Model, text: str) -> Any:
         name, equals, value = item.partition("=")
         if not equals:
             raise MufasaError(f"effect {text!r}: {item!r} is not NAME=VALUE; write KIND:NAME=VALUE,NAME=VALUE")
+        if name.strip() in data:
+            raise MufasaError(f"effect {text!r} has {name.strip()} twice: give it once")
         data[name.strip()] = plain_value(value)
     return model.with_values({"effects": [data]}).effects[0]
 

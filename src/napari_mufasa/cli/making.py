@@ -16,6 +16,8 @@ from napari_mufasa.cli.options import EngineName, ModelFile, Overwrite, Resume, 
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from napari_mufasa.model.model import Model
     from napari_mufasa.simulate.movie import SimulatedAcquisition
 
@@ -59,6 +61,7 @@ def simulate(
 
     console.check_movie_out(out, overwrite)
     console.check_not_read(out, model, positions)
+    console.check_apart(out, truth)
     if truth is not None:
         console.check_folder_out(truth, overwrite, TRUTH, positions)
     asked = {"sample.n_molecules": n_molecules, "acquisition.n_frames": frames, "acquisition.shape_px": shape}
@@ -67,7 +70,7 @@ def simulate(
     if snr is not None:
         from napari_mufasa.design.solve import EXPOSURE, POWER
 
-        chosen = _solved(chosen, {"snr_spot": snr}, EXPOSURE if snr_by == "exposure" else POWER, None)
+        chosen = _solved(chosen, {"snr_spot": snr}, EXPOSURE if snr_by == "exposure" else POWER)
     elif snr_by is not None:
         raise MufasaError("--snr-by goes with --snr, the signal to noise that is wanted: give both, or drop it")
     places = None if positions is None else read_positions(positions, chosen.acquisition.pixel_size_nm)
@@ -204,22 +207,37 @@ def design(
     if solve is not None and not targets:
         raise MufasaError("--solve needs a --target that the value shall meet, as snr_spot=5")
     if targets:
-        believed = _solved(believed, targets, solve, out_model)
+        believed = _solved(believed, targets, solve)
     table = sweep(believed, varied)
+    drawn = None if figure is None else _drawn(table, varied, targets)
+    if out_model is not None:
+        believed.to_json(out_model)
+        typer.echo(f"{out_model}: the model with that value")
     if out is not None:
         files.write_table(out, table)
         console.tell_origin(out, believed, (model,))
-    if figure is not None:
-        from napari_mufasa.report.figures import design_drawing
-
-        shown = [name for name in targets if name in table] if targets else []
-        files.whole.write_bytes(figure, design_drawing(table, list(varied), shown, targets).render("light"))
+    if figure is not None and drawn is not None:
+        files.whole.write_bytes(figure, drawn)
     turned = table.astype(object).where(table.notna(), None).T
     head = ("quantity", *(f"case {i + 1}" for i in range(len(table)))) if len(table) > 1 else ("quantity", "value")
     console.print_table(head, [(name, *row) for name, row in zip(turned.index, turned.to_numpy(), strict=True)])
 
 
-def _solved(believed: Model, targets: dict[str, float], path: str | None, out: Path | None) -> Model:
+def _drawn(table: pd.DataFrame, varied: dict[str, list[Any]], targets: dict[str, float]) -> bytes:
+    """The figure of a sweep over numbers, as the bytes of a PNG."""
+    from napari_mufasa.report.figures import design_drawing
+
+    for path, values in varied.items():
+        if words := [value for value in values if not isinstance(value, (int, float))]:
+            word = words[0] or "null"
+            raise MufasaError(
+                f"--figure draws over numbers: {word} of {path} has no place on an axis; drop it, or --figure"
+            )
+    shown = [name for name in targets if name in table]
+    return design_drawing(table, list(varied), shown, targets).render("light")
+
+
+def _solved(believed: Model, targets: dict[str, float], path: str | None) -> Model:
     """The model that meets the first target, by its power without a path; says what is met, and where all would be."""
     from napari_mufasa.design.solve import POWER, solve
     from napari_mufasa.report.lines import solution_lines
@@ -227,9 +245,6 @@ def _solved(believed: Model, targets: dict[str, float], path: str | None, out: P
     found = solve(believed, targets, path or POWER)
     for line in solution_lines(found):
         typer.echo(line)
-    if out is not None:
-        found.model.to_json(out)
-        typer.echo(f"{out}: the model with that value")
     return found.model
 
 

@@ -20,7 +20,8 @@ def so_far() -> list[str]:
 
 
 def tell(chosen: Sequence[str]) -> None:
-    """Print those that are not told yet: of what was noted before the work once that goes on, of all at the end."""
+    """Print those that are not told yet: on a terminal of what was noted before the work once that goes on, of all
+    at the end."""
     told = _notes.get({})
     for note in [note for note in chosen if not told[note]]:
         told[note] = True

@@ -10,6 +10,7 @@ from napari.viewer import Viewer
 from qtpy.QtCore import QEvent, QSize, Qt
 from qtpy.QtWidgets import QScrollArea, QSizePolicy, QTabWidget, QWidget
 
+from napari_mufasa import widgets
 from napari_mufasa.widgets.parts.pieces import button, column, made, row, shortcut
 from napari_mufasa.widgets.turns.session import session_of, unwrapped
 
@@ -102,9 +103,14 @@ class WorkflowWidget(QWidget):
 
 
 class Single(Scrolled):
-    """One step as a dock of its own."""
+    """One step as a dock of its own; made without a viewer it is the step's magicgui widget alone."""
 
     step_name = ""
+
+    def __new__(cls, napari_viewer: Viewer | None = None) -> Any:
+        if napari_viewer is None:
+            return getattr(widgets, f"{HOMES[cls.step_name].partition(':')[0]}_widget")()
+        return super().__new__(cls)
 
     def __init__(self, napari_viewer: Viewer) -> None:
         self.panel = panel_of(self.step_name, unwrapped(napari_viewer))

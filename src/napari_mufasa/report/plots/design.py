@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +34,8 @@ def predictions(
     there = [name for name in shown if table[name].notna().any()]
     if not there or not 1 <= len(varied) <= 2:
         return empty(parent.add_subplot(), "vary one value or two")
+    if any(not (isinstance(value, Real) and value == value) for name in varied for value in table[name]):
+        return empty(parent.add_subplot(), "vary numbers: words have no place on an axis")
     axes = sheet(parent, len(there), min(3, len(there)))
     for ax, name in zip(axes, there, strict=True):
         target = (targets or {}).get(name)
