@@ -501,6 +501,19 @@ def test_a_wrong_model_is_told_while_the_work_begins_with_a_command_that_works(
     assert cli(*command)[0] == 0 and (tmp_path / "proposed.json").exists()
 
 
+def test_a_failure_after_the_work_began_is_one_line_where_stderr_is_piped(
+    cli, movie_file, model_file, tmp_path, monkeypatch
+):
+    def fails(*_: object, progress, **__: object) -> None:
+        progress(1, 100)
+        raise nm.MufasaError("frame 7 is not a number: leave it out")
+
+    Model.from_json(model_file).with_values({"camera.baseline_adu": 900.0}).to_json(tmp_path / "other.json")
+    monkeypatch.setattr(importlib.import_module("napari_mufasa.traces"), "extract_traces", fails)
+    code, _, err = cli("traces", movie_file, "--model", tmp_path / "other.json", "--out", tmp_path / "out")
+    assert code == 2 and err == "napari-mufasa: frame 7 is not a number: leave it out\n"
+
+
 @pytest.mark.parametrize("verb", ["traces", "compare", "simulate"])
 def test_the_folder_one_stands_in_can_be_written_into(cli, movie_file, model_file, tmp_path, monkeypatch, verb):
     monkeypatch.chdir(tmp_path)

@@ -358,6 +358,14 @@ def test_a_map_of_few_values_has_them_as_ticks():
     assert list(made.axes[0].get_xticks()) == [1, 10] and list(made.axes[0].get_yticks()) == [250, 300]
 
 
+@pytest.mark.parametrize("values", [["FF", "STORM"], [None, 1000.0]])
+def test_what_has_no_place_on_an_axis_is_told_in_the_place_of_curves(values):
+    made = Figure()
+    plotting.predictions(made, pd.DataFrame({"protocol": values, "snr_spot": [1.0, 2.0]}), ["protocol"], ["snr_spot"])
+    (ax,) = made.axes
+    assert not ax.lines and any("vary numbers" in text.get_text() for text in ax.texts)
+
+
 def test_the_distance_that_was_asked_for_is_among_those_shown():
     table = report().observables
     least = table.loc[table["z_before"].abs().idxmin()]

@@ -216,7 +216,7 @@ def design(
     if out is not None:
         files.write_table(out, table)
         console.tell_origin(out, believed, (model,))
-    if figure is not None and drawn is not None:
+    if figure and drawn:
         files.whole.write_bytes(figure, drawn)
     turned = table.astype(object).where(table.notna(), None).T
     head = ("quantity", *(f"case {i + 1}" for i in range(len(table)))) if len(table) > 1 else ("quantity", "value")
