@@ -6,7 +6,9 @@ import numpy as np
 import pandas as pd
 from tests.spec_example import MODEL
 
+from napari_mufasa.discover.detection import Look, Power
 from napari_mufasa.discover.result import ERROR_UNIT, Candidate, Curve, Report
+from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 
 
@@ -97,3 +99,9 @@ def report(verdict: str = "missing_effect") -> Report:
         detectable={"stage_drift": 0.3, "focus_drift": 0.1, "cosmic_rays": None},
         notes=["Fitted on frames 0–199, judged on frames 200–299."],
     )  # fmt: skip
+
+
+def power(effect: Effect, movies: int, *seen: int) -> Power:
+    """How often an effect is seen, made up: each look sees it in so many of its movies, and then before any other."""
+    sees = [np.arange(movies) < n for n in seen]
+    return Power(effect, tuple(Look(12.0, np.where(s, 20.0, 3.0), s) for s in sees))

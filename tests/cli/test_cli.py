@@ -20,7 +20,7 @@ import pandas as pd
 import pytest
 import tifffile
 import typer
-from tests.report_example import report
+from tests.report_example import power, report
 from tests.spec_example import MODEL
 
 import napari_mufasa as nm
@@ -335,9 +335,7 @@ def test_power_tells_how_often_an_effect_is_seen(cli, model_file, tmp_path, monk
 
     def answer(model, effect, strengths, **given):
         asked.update(given, effect=effect, strengths=strengths)
-        return [
-            discover.Power(effect.model_copy(update={"rms_adu": s}), 10, n, n, 3.0, 12.0) for s, n in ((1, 2), (4, 10))
-        ]
+        return [power(effect.model_copy(update={"rms_adu": s}), 10, n) for s, n in ((1, 2), (4, 10))]
 
     monkeypatch.setattr(discover, "power", answer)
     table = tmp_path / "power.csv"

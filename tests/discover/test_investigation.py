@@ -593,7 +593,7 @@ def test_one_form_that_took_the_place_of_two_effects_gives_way_to_both():
     inquiry = Investigation(movie, model, seed=2, effects=["periodic_modulation", "laser_flicker"])
     inquiry.add(modulation(amplitude=0.1, period_frames=5.64, form="square"))
     one = inquiry.stand
-    assert not one.content and one.leads["laser_flicker"][0].gain < one.needed
+    assert not one.content and one.leads["laser_flicker"][0].gain < one.needed("laser_flicker")
     assert inquiry.exchange()
     found = {effect.kind: effect for effect in inquiry.model.effects}
     assert set(found) == {"periodic_modulation", "laser_flicker"} and found["periodic_modulation"].form == "sine"

@@ -256,7 +256,7 @@ def test_rivals_are_compared_beside_the_other_effects_that_are_taken_up():
 def test_what_promises_nothing_more_beside_those_begun_is_not_begun(bench):
     """Column offsets look like row noise, which is there."""
     stand, taken = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0))), []
-    assert stand.leads["column_offset"][0].gain > stand.needed  # alone they promise much
+    assert stand.leads["column_offset"][0].gain > stand.needed("column_offset")  # alone they promise much
     steps.Steps.take_up(asking(stand, taken), [[stand.leads["row_noise"]], [stand.leads["column_offset"]]])
     assert [effect.kind for effect in taken[0].model.effects] == ["row_noise"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from tests.report_example import power
 
 from napari_mufasa.compare.quick import quick_distance
 from napari_mufasa.errors import MufasaError
@@ -316,7 +317,7 @@ def test_design_draws_how_often_an_effect_is_seen(viewer, open_panel, bright_mod
         """What `nm.power` answers (tests/discover/test_detection.py), without its simulations."""
         detection.checks.whole(dark_frames, "dark_frames", 1, 10)
         effects = [effect.model_copy(update={"distance_px": strength}) for strength in strengths]
-        return [detection.Power(one, movies, 3 * (one.distance_px > 1), 1, 20.0, 10.0) for one in effects]
+        return [power(one, movies, 3 * (one.distance_px > 1)) for one in effects]
 
     monkeypatch.setattr(detection, "power", simulated)
     panel = open_panel(DesignPanel, viewer)

@@ -74,7 +74,7 @@ class Investigation(Steps):
         self.bench.plan(tries * START)
         tried: dict[str, State] = {}
         for kind, forms in list(stand.leads.items())[:tries]:
-            if len(tried) < 2 or forms[0].gain > stand.needed:
+            if len(tried) < 2 or forms[0].gain > stand.needed(kind):
                 tried[kind] = started(stand.library, stand.state, forms, stand.x)
         misfits = {kind: state.misfit(stand.x) for kind, state in tried.items()}
         self.ranking = []
@@ -131,13 +131,11 @@ class Investigation(Steps):
         effect = next(e for e in state.model_at(state.adjusted(x).moves).effects if e.kind == kind)
         after = state.held_out_error(x)
         gain = max(stand.misfit - state.misfit(x), 0.0)
-        return Candidate(
-            kind, self.first.null.evidence.p(gain), gain, after, share_of(stand.error, after, stand.state.floor),
-            effect.parameters(), {}, near,
-        )  # fmt: skip
+        p, share = self.first.null.evidence_of(kind).p(gain), share_of(stand.error, after, stand.state.floor)
+        return Candidate(kind, p, gain, after, share, effect.parameters(), {}, near)
 
     def _lead(self, kind: str, lead: Lead) -> Candidate:
-        p = self.first.null.evidence.p(lead.gain)
+        p = self.first.null.evidence_of(kind).p(lead.gain)
         return Candidate(kind, p, max(lead.gain, 0.0), None, None, lead.start().parameters(), {})
 
 

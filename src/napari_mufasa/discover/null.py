@@ -4,8 +4,8 @@ Base simulations go through the same screening as the measurement. Their largest
 law (a maximum over effects), their misfits a scaled chi² (here: a gamma law); the tails are read from the
 fitted laws, since a few dozen simulations cannot show a one-percent tail themselves. A few are freaks, though,
 of several hundred: two molecules that chance made neighbours look like one that goes dark. They say nothing
-about the usual ones, and count as what they are: so many among all; and what an effect must be worth beside others, as
-what they would have brought that effect: neighbours do not pass for the noise of rows.
+about the usual ones, and count as what they are: so many among all; and against an effect, as what they would have
+brought that effect: neighbours do not pass for the noise of rows.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+
+from napari_mufasa.discover.rules import ALARM
 
 FREAK = 3.0  # interquartile ranges above the upper quartile: a Gumbel law has 0.3 % beyond
 
@@ -37,10 +39,16 @@ class Tail:
 
     def at(self, p: float) -> float:
         """The value that chance exceeds with probability p."""
-        beyond = np.arange(len(self.freaks) + 1)  # so many freaks may be larger
-        left = p - beyond / self.among
-        values = np.maximum(self.law.isf(left[left > 0]), np.append(self.freaks, -np.inf)[left > 0])
-        return float(values.min())
+        usual, larger = self.within(p)
+        return float(self.freaks[larger:].max(initial=usual))
+
+    def within(self, p: float) -> tuple[float, int]:
+        """How a probability p is best shared out: the value that usual ones exceed with what is left of it, where so
+        many freaks may be larger."""
+        left = p - np.arange(len(self.freaks) + 1) / self.among
+        usual = self.law.isf(left[left > 0])
+        larger = int(np.argmin(np.maximum(usual, np.append(self.freaks, -np.inf)[left > 0])))
+        return float(usual[larger]), larger
 
 
 def fence(values: NDArray[np.float64]) -> float:
@@ -56,12 +64,16 @@ def beyond(values: NDArray[np.float64], most: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Null:
-    """The largest evidence of any effect, and the misfit, when nothing is missing; `of_each`: the same law of usual
-    evidence with the freaks of that effect alone."""
+    """The largest evidence of any effect, and the misfit, when nothing is missing.
+
+    of_each : the same law of usual evidence with the freaks of that effect alone · alarm : what each effect must bring,
+    so that with a chance of 2 % (`rules.ALARM`) any of them does
+    """
 
     evidence: Tail
     misfit: Tail
     of_each: Mapping[str, Tail]
+    alarm: Mapping[str, float]
 
     @classmethod
     def of(cls, evidence: Mapping[str, NDArray[np.float64]], misfit: NDArray[np.float64]) -> Null:
@@ -74,12 +86,19 @@ class Null:
         law = stats.gumbel_r(float(values.mean()) - float(np.euler_gamma) * scale, scale)
         of_each = {kind: Tail(law, beyond(own, most), n) for kind, own in evidence.items()}
         by_chance = Tail(law, beyond(largest, most), n)
+        usual, spared = by_chance.within(ALARM)
+        kept = np.argsort(-largest, kind="stable")[spared:]
+        alarm = {kind: float(beyond(own[kept], most).max(initial=usual)) for kind, own in evidence.items()}
         most = fence(misfit)
         values = np.minimum(misfit, most)
         mean, variance = float(values.mean()), float(values.var(ddof=1))
-        usual = stats.gamma(mean**2 / variance, scale=variance / mean)
-        return cls(by_chance, Tail(usual, beyond(misfit, most), n), of_each)
+        law = stats.gamma(mean**2 / variance, scale=variance / mean)
+        return cls(by_chance, Tail(law, beyond(misfit, most), n), of_each, alarm)
 
     def evidence_of(self, kind: str) -> Tail:
         """What chance makes an effect worth; of one that was not asked for then: any."""
         return self.of_each.get(kind, self.evidence)
+
+    def needed(self, kind: str) -> float:
+        """What an effect must bring for an alarm; one that was not asked for then: what any must."""
+        return self.alarm.get(kind, self.evidence.at(ALARM))

@@ -12,7 +12,7 @@ from scipy import stats
 from napari_mufasa.discover import joint, nuisance
 from napari_mufasa.discover.metric import soften, stretch
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
-from napari_mufasa.discover.rules import ALARM, CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
+from napari_mufasa.discover.rules import CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.state import SCALES, State
@@ -34,11 +34,12 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
     verdict = verdict or verdict_of(inquiry)
     completed = inquiry.bench.restored(model, inquiry.believed)
     names = _sure_of_names(stand)
+    ranking = [*inquiry.candidates(), *(c for c in inquiry.ranking if c.effect not in stand.added)]
     return Report(
         verdict=verdict,
         error={"before": inquiry.first.error, "after": stand.error, "floor": final.floor, "unit": ERROR_UNIT},
         failing=_failing(table),
-        ranking=[*inquiry.candidates(), *(c for c in inquiry.ranking if c.effect not in stand.added)],
+        ranking=ranking,
         chosen=list(stand.added),
         history=_history(inquiry),
         model=completed,
@@ -47,7 +48,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         curves=inquiry.bench.curves(before, after),
         seconds=inquiry.seconds,
         seed=inquiry.seed,
-        evidence_needed=stand.null.evidence.at(ALARM),
+        evidence_needed=stand.null.needed(ranking[0].effect) if ranking else None,
         detectable=detectable(inquiry),
         w1=inquiry.bench.w1(before, after),
         notes=[*inquiry.bench.notes, *_notes(inquiry, verdict, table, completed)],
@@ -68,7 +69,7 @@ def verdict_of(inquiry: Standing) -> Verdict:
     left = stand.null.misfit.p(stand.misfit)
     if not stand.added:
         tried = [c for c in inquiry.ranking[:1] if c.error_after is not None]
-        if any(c.evidence > stand.needed and (c.error_after or 0.0) < stand.error for c in tried):
+        if any(c.evidence > stand.needed(c.effect) and (c.error_after or 0.0) < stand.error for c in tried):
             return "missing_effect"
         # An alarm of the emulator that no fit confirms is chance, unless the misfit as a whole is beyond chance, too,
         # or the budget was spent before any fit.
@@ -151,13 +152,13 @@ def _remaining(table: pd.DataFrame) -> list[dict[str, Any]]:
 def detectable(inquiry: Standing) -> dict[str, float | None]:
     """The smallest strength of each effect not in the model that this data would have shown with 80 % power, by the
     emulator; where nothing is another strength than 0, above that."""
-    state, threshold = inquiry.state, inquiry.stand.needed
+    state = inquiry.state
     w, spread = state.whiten[0], state.spread[0]
     slope = np.vstack([w @ (state.slopes[0] / spread[:, None]), np.diag(1 / state.prior)])
     q, _ = np.linalg.qr(slope)
     found: dict[str, float | None] = {}
     for kind, rays in inquiry.stand.library.rays.items():
-        distances = []
+        distances, threshold = [], inquiry.stand.needed(kind)
         for ray in rays:
             for scale in sorted({*SCALES, 0.03, 0.06}):
                 step = np.pad(w @ soften(ray.shift[0] * scale / spread), (0, len(state.prior)))

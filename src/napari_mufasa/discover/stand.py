@@ -13,7 +13,6 @@ from napari_mufasa.discover import joint
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.rules import (
-    ALARM,
     ALIKE,
     AT_ONCE,
     BESIDE,
@@ -92,12 +91,10 @@ class Stand:
         """Is so much still wrong that what the effects are worth is not to be had yet?"""
         return self.state.far_off(self.x)
 
-    @property
-    def needed(self) -> float:
+    def needed(self, kind: str) -> float:
         """The evidence that an effect must promise. A further one is tried from where the usual chance ends: what it is
         worth is judged by fits, and by freaks of chance, too."""
-        evidence = self.null.evidence
-        return float(evidence.law.isf(FURTHER)) if self.added else evidence.at(ALARM)
+        return float(self.null.evidence.law.isf(FURTHER)) if self.added else self.null.needed(kind)
 
     @cached_property
     def leads(self) -> dict[str, list[Lead]]:
@@ -107,7 +104,7 @@ class Stand:
     @property
     def alarmed(self) -> bool:
         """Is the model inadequate beyond chance?"""
-        by_effect = any(forms[0].gain > self.needed for forms in self.leads.values())
+        by_effect = any(forms[0].gain > self.needed(kind) for kind, forms in self.leads.items())
         return by_effect or self.null.misfit.p(self.misfit) < MISFIT_ALARM
 
     def promising(self, but: set[str]) -> list[list[Case]]:
@@ -143,10 +140,11 @@ class Stand:
 
     def _least(self, lead: Lead, taken: Sequence[Lead]) -> float:
         """What a lead must promise beside those that are taken up already."""
+        needed = self.needed(lead.ray.effect.kind)
         if not taken:
-            return self.needed
+            return needed
         moved = np.sum([other.shift for other in taken], axis=0)
-        return max(self.needed, _shared(lead.shift, moved, self.state.spread) * BESIDE * taken[0].gain)
+        return max(needed, _shared(lead.shift, moved, self.state.spread) * BESIDE * taken[0].gain)
 
     @cached_property
     def worths(self) -> dict[str, Worth]:
@@ -154,7 +152,7 @@ class Stand:
         known = dict(self.known)
         if len(self.added) == 1 and not known:  # the model without it is the one believed
             alone = self.first.score(self.x) - self.state.score(self.x)
-            return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.evidence.at(ALARM))}
+            return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.needed(self.added[0]))}
         states = {kind: self.without(kind) for kind in self.added}
         evidence = {kind: state.misfit(self.x) - self.misfit for kind, state in states.items()}
         moved = {kind: self.moved_by(kind) for kind in states}
@@ -192,7 +190,7 @@ class Stand:
         worth = self.worths[kind]
         laws = {k: rays for k, rays in self.library.rays.items() if not effect_class(k).describes_only}
         leads = self.without(kind).screen(self.x, laws).values()
-        least = max(worth.evidence, self.needed)
+        least = max(worth.evidence, self.needed(kind))
 
         def is_much(lead: Lead) -> bool:
             return lead.gain > (FORM_WORTH if are_rivals(kind, lead.ray.effect.kind) else RIVAL) * least

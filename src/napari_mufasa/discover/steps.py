@@ -217,8 +217,9 @@ class Steps(Standing):
 
     def _promises(self, state: State, case: Case) -> bool:
         """Do an effect's leads still promise something beside what is begun in a state?"""
-        leads = state.screen(self.stand.x, {_kind(case): [lead.ray for lead in case]})
-        return leads[_kind(case)][0].gain > self.stand.needed
+        kind = _kind(case)
+        leads = state.screen(self.stand.x, {kind: [lead.ray for lead in case]})
+        return leads[kind][0].gain > self.stand.needed(kind)
 
     def _settle(self, state: State, on_trial: Sequence[str] = (), below: float = np.inf) -> bool:
         """All free values fitted together, and the neighbourhood simulated anew: a further stand, if the misfit there
