@@ -18,7 +18,7 @@ from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 
 SIZE = {"acquisition.n_frames": 40, "acquisition.shape_px": [48, 48], "sample.n_molecules": 30}
-CASES = {"row_noise": 6.0, "laser_flicker": 0.06, "stage_drift": 0.8}  # near the strength that half of them show
+CASES = {"row_noise": 6.0, "laser_flicker": 0.015, "stage_drift": 1.2}  # near the strength that half of them show
 DARK_FRAMES = 20
 AT_ONCE = 40  # movies of one run of `power`
 FIRST_SEED = 5_000  # of the movies that are looked at one by one: `power` has others

@@ -346,7 +346,7 @@ def test_power_tells_how_often_an_effect_is_seen(cli, model_file, tmp_path, monk
     rows = pd.read_csv(table)
     assert rows["rms_adu"].tolist() == [1, 4] and rows["power"].tolist() == [0.2, 1.0]
     assert (rows["power_low"] < rows["power"]).all() and rows["power_high"].between(rows["power"], 1).all()
-    assert "from rms_adu = 3.36 on" in out and "promises 12 once in 50 movies" in out
+    assert "from rms_adu = 3.36 on" in out and "must promise 12 (median of 1 diagnoses)" in out
 
 
 def test_compare_finds_the_true_model_nearer_than_a_wrong_one(cli, movie_file, model_file, tmp_path):

@@ -182,7 +182,8 @@ def power(
 
         files.whole.write_bytes(figure, power_drawing(table, hidden.kind).render("light"))
     console.print_table(tuple(table), [tuple(row) for row in table.to_numpy()])
-    typer.echo(f"chance alone promises {found[0].needed:.3g} once in 50 movies without it")
+    asked = f"it must promise {found[0].needed:.3g} (median of {len(found[0].looks)} diagnoses)"
+    typer.echo(f"{asked}: by chance alone some effect promises what it must in 1 of 50 movies")
     if len(found) > 1:
         least = strength_seen(found)
         told = "none of these" if least is None else f"from {hidden.strength} = {least:.3g} on"

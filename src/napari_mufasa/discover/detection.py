@@ -41,7 +41,7 @@ Progress = Callable[[int, int], None]
 class Look:
     """What one diagnosis saw in the movies with an effect that it looked at.
 
-    needed : what the effect must promise there, which chance alone exceeds in 2 % of movies (`rules.ALARM`)
+    needed : what the effect must promise there: by chance any effect does so in 2 % of movies (`rules.ALARM`)
     evidence (movie,) : what it promises, fall of −2 log likelihood · first (movie,) : no other promises more
     """
 
