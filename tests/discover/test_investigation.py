@@ -15,6 +15,7 @@ from napari_mufasa.discover.metric import soften, stretch
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.stand import Stand, Worth
 from napari_mufasa.effects import catalogue, effect_class
+from napari_mufasa.report.words import verdict_text
 
 KINDS = ["laser_drift", "row_noise", "background_gradient", "photobleaching"]
 HIDDEN = (
@@ -95,6 +96,7 @@ def test_a_spent_budget_ends_the_search_and_is_told():
     report = play(inquiry, None)
     assert report.simulations["spent"] < 330 + rules.TELLING + 80  # the neighbourhood counts whole
     assert len(report.chosen) < 3 and any("budget of 330 simulations" in note for note in report.notes)
+    assert report.cut_short and "the budget of 330 simulations left" in verdict_text(report)[0]
 
 
 def test_as_many_leads_are_taken_up_as_the_budget_affords():
@@ -538,6 +540,13 @@ def test_a_first_way_that_its_half_of_the_budget_ends_goes_on_with_all_where_it_
     told = [words for words in play(both, None) if words not in ("drop the useless", "judge")]
     after = ["0 of 100 kept", "take up two"]
     assert told == ["50 of 100 kept", "take up one", *([*after, "afresh"] if on else ["afresh", *after])]
+
+
+def test_a_budget_of_which_half_affords_nothing_is_not_halved():
+    """Else nothing is tried at all: a second way begins with what the first has found."""
+    whole = TwoWays(1.4)
+    whole.affords = lambda n: not whole.reserve
+    assert play(whole, None)[:2] == ["0 of 100 kept", "take up one"]
 
 
 def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():

@@ -298,6 +298,11 @@ def test_a_good_model_with_a_rest_does_not_read_like_a_failure(monkeypatch):
     assert "from 2.93 to 1.04; noise alone gives 0.98" in sentence
     few = dataclasses.replace(good, suspects=["triplet_blinking", "laser_drift"])
     assert "the rest by none of those that were considered" in wording.verdict_text(few)[0]
+    short = dataclasses.replace(good, cut_short=True, simulations={"spent": 680, "budget": 700})
+    assert "the rest by nothing that the budget of 700 simulations left room to try" in wording.verdict_text(short)[0]
+    untried = dataclasses.replace(short, chosen=[])
+    line, _ = wording.verdict_text(untried)
+    assert line.startswith("Something is missing; the budget of 700 simulations left no room to try what. It resembles")
     told = wording.standing_lines(good)
     assert told == [
         "99.4 % of the misfit is explained, to 1.06 times the error that noise alone gives.",

@@ -110,6 +110,8 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
     ranking = inquiry.rank(0)
     twice = not inquiry.bench.is_cheap
     inquiry.reserve = inquiry.left // 2 if twice else 0
+    if not inquiry.affords(1):  # a second way begins with what the first has found
+        inquiry.reserve = 0
     _one_way(inquiry, max_effects)
     cut_short = twice and inquiry.chosen and not inquiry.affords(1)
     inquiry.reserve = 0

@@ -34,6 +34,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
     verdict = verdict or verdict_of(inquiry)
     completed = inquiry.bench.restored(model, inquiry.believed)
     names = _sure_of_names(stand)
+    cut_short = verdict != "adequate" and not stand.content and not inquiry.affords(1)
     ranking = [*inquiry.candidates(), *(c for c in inquiry.ranking if c.effect not in stand.added)]
     return Report(
         verdict=verdict,
@@ -51,7 +52,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         evidence_needed=stand.null.needed(ranking[0].effect) if ranking else None,
         detectable=detectable(inquiry),
         w1=inquiry.bench.w1(before, after),
-        notes=[*inquiry.bench.notes, *_notes(inquiry, verdict, table, completed)],
+        notes=[*inquiry.bench.notes, *_notes(inquiry, verdict, cut_short, table, completed)],
         inclusion={kind: round(sure, 4) for kind, (sure, _) in names.items()},
         alternatives=[[kind, *others] for kind, (_, others) in names.items() if others],
         explained=_explained(inquiry),
@@ -59,6 +60,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         credibility_before=_credibility(inquiry.first),
         remaining=_remaining(table),
         simulations={"spent": inquiry.bench.done, "budget": inquiry.budget},
+        cut_short=cut_short,
         suspects=list(inquiry.suspects),
     )
 
@@ -205,7 +207,7 @@ def _failing(table: pd.DataFrame) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: Model) -> list[str]:
+def _notes(inquiry: Standing, verdict: Verdict, cut_short: bool, table: pd.DataFrame, completed: Model) -> list[str]:
     notes = []
     if changes := nuisance.told(inquiry.believed, completed):
         notes.append(f"Values of the model fitted beside the effects: {changes}.")
@@ -219,7 +221,7 @@ def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: 
         notes.append(
             f"Not shown by every simulation with an effect, and no evidence for or against it there: {'; '.join(gaps)}."
         )
-    if verdict != "adequate" and not inquiry.stand.content and not inquiry.affords(1):
+    if cut_short:
         notes.append(f"The budget of {inquiry.budget} simulations is spent: more may be missing.")
     left = table[table.z_after.abs() > OFF]
     if inquiry.chosen and len(left):
@@ -230,5 +232,5 @@ def _notes(inquiry: Standing, verdict: Verdict, table: pd.DataFrame, completed: 
         what = "the rest" if inquiry.chosen else "this"
         likest = f" It is most like: {effect_class(nearest[0]).title}." if nearest else ""
         none = "No effect of those that were considered" if inquiry.suspects else "No effect in the catalogue"
-        notes.append(f"{none} explains {what}.{likest}")
+        notes.append(f"{'No effect was tried that' if cut_short else none} explains {what}.{likest}")
     return notes

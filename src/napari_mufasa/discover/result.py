@@ -94,7 +94,7 @@ class Report:
     credibility : how many times fewer molecules or frames before nobody could tell completed model and movie apart
         (1: they cannot be told apart now); `credibility_before`: of the model believed
     remaining : observables still off, worst first: observable, title, z, measured, simulated and their unit
-    simulations : spent, and the budget
+    simulations : spent, and the budget · cut_short : the budget left no room for what might explain the rest
     suspects : the only kinds that were considered; [] where all of the catalogue were
     check : what data that the finding has not seen say of it (`Confirmation.to_dict`, "against" what); {} where nobody
         asked
@@ -123,6 +123,7 @@ class Report:
     credibility_before: float = 1.0
     remaining: list[dict[str, Any]] = field(default_factory=list)
     simulations: dict[str, int] = field(default_factory=dict)
+    cut_short: bool = False
     check: dict[str, Any] = field(default_factory=dict)
     suspects: list[str] = field(default_factory=list)
 
@@ -148,6 +149,7 @@ class Report:
             "credibility_before": self.credibility_before,
             "remaining": self.remaining,
             "simulations": self.simulations,
+            "cut_short": self.cut_short,
             "suspects": self.suspects,
             "check": self.check,
             **({"w1": self.w1} if self.w1 else {}),

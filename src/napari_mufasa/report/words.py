@@ -142,9 +142,15 @@ def verdict_text(report: Report) -> tuple[str, str]:
     if report.chosen:
         share = f"{_percent(report.explained)} of the misfit" if report.explained else "Part of what is missing"
         none = "none of those that were considered" if report.suspects else "no known effect"
+        if report.cut_short:
+            none = f"nothing that the budget of {report.simulations['budget']} simulations left room to try"
         return f"{share} is explained by {chosen}; the rest by {none}.", fall
     none = "none of the effects considered" if report.suspects else "no known effect"
     line = f"Something is missing that {none} explains."
+    if report.cut_short:
+        line = (
+            f"Something is missing; the budget of {report.simulations['budget']} simulations left no room to try what."
+        )
     if report.ranking:
         line += f" It resembles {in_text(report.ranking[0].effect)} most."
     return line, f"The error on held-out data is {_two(before)}; noise alone gives {_two(floor)}."
