@@ -1,8 +1,8 @@
 """Whether the power to see an effect comes true: `python -m benchmarks.power [--movies N] [--only KIND]`.
 
-Movies with an effect that is seen in about half of them are simulated, and each is matched and looked at with a
-neighbourhood of its own, as a diagnosis does. Printed for each effect: the share that `nm.power` says, the share in
-which the effect promises more than chance, each with its 95 % interval, and their difference with its standard error.
+Movies with an effect that is seen in half to three quarters of them are simulated, and each is matched and looked at
+with a neighbourhood of its own, as a diagnosis does. Printed for each effect: the share that `nm.power` says, the share
+in which the effect promises more than chance, each with its 95 % interval, and their difference with its standard error.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 
 SIZE = {"acquisition.n_frames": 40, "acquisition.shape_px": [48, 48], "sample.n_molecules": 30}
-CASES = {"row_noise": 6.0, "laser_flicker": 0.015, "stage_drift": 1.2}  # near the strength that half of them show
+CASES = {"row_noise": 6.0, "laser_flicker": 0.015, "stage_drift": 1.2}  # that half to three quarters of them show
 DARK_FRAMES = 20
 AT_ONCE = 40  # movies of one run of `power`
 FIRST_SEED = 5_000  # of the movies that are looked at one by one: `power` has others
