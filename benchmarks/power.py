@@ -2,7 +2,7 @@
 
 Movies with an effect that is seen in half to three quarters of them are simulated, and each is matched and looked at
 with a neighbourhood of its own, as a diagnosis does. Printed for each effect: the share that `nm.power` says, the share
-in which the effect promises more than chance, each with its 95 % interval, and their difference with its standard error.
+in which the effect promises more than chance, with 95 % intervals, and their difference with its standard error.
 """
 
 from __future__ import annotations
