@@ -118,6 +118,7 @@ def test_of_a_large_movie_the_part_that_a_diagnosis_looks_at_is_simulated():
     [
         ({"effect": "row_noise"}, "effect is a str"),
         ({"strengths": [-1.0]}, "row_noise.rms_adu = -1"),
+        ({"strengths": []}, "strengths is empty"),
         ({"strengths": [np.nan]}, "row_noise.rms_adu"),
         ({"movies": 1}, "movies"),
         ({"dark_frames": -1}, "dark_frames"),

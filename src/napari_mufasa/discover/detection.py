@@ -166,6 +166,8 @@ def power(
     if effect.kind in (known.kind for known in model.effects):
         raise MufasaError(f"{effect.kind} is in the model already: take it out there to ask whether it would be seen")
     cases = [_at(effect, s) for s in (strengths if strengths is not None else [getattr(effect, effect.strength)])]
+    if not cases:
+        raise MufasaError("strengths is empty: give one or more, or None for the one that the effect has")
     model = cropped(model)
     n_looks = min(max(movies // EACH, 2), LOOKS)
     shares = [len(share) for share in np.array_split(np.arange(movies), n_looks)]
