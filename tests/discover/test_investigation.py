@@ -59,7 +59,7 @@ def inquiry():
 
 @pytest.fixture(scope="module")
 def played():
-    return play(investigation(seed=3), None)
+    return play(investigation(seed=4), None)
 
 
 def test_three_effects_are_found_together_as_near_as_a_fit_that_starts_at_the_truth(played):
@@ -67,7 +67,7 @@ def test_three_effects_are_found_together_as_near_as_a_fit_that_starts_at_the_tr
     (By seeds 3 and 4 the ratio is .97 and 1.04; by seed 2 either ends far above, and the last digits of a machine tell
     where: 1.36 on one.)"""
     assert set(played.chosen) == MISSING and played.verdict == "missing_effect"
-    told = investigation(seed=3)
+    told = investigation(seed=4)
     told.add(*HIDDEN)
     told.deepen()
     assert played.error["after"] < 1.25 * told.stand.error < 0.3 * played.error["before"]
@@ -80,7 +80,7 @@ def test_the_report_says_how_sure_it_is_and_what_each_effect_is_worth(played):
     data = played.to_dict()
     assert set(data) >= {"inclusion", "alternatives", "explained", "credibility", "remaining", "simulations"}
     assert set(played.inclusion) == MISSING and min(played.inclusion.values()) > 0.95
-    assert played.explained > 0.97 and played.credibility_before > 5 > 2 > played.credibility >= 1  # 9.8 by this seed
+    assert played.explained > 0.97 and played.credibility_before > 10 > 2 > played.credibility >= 1
     assert [step["added"] for step in played.history[1:]] == played.chosen
     assert played.history[0]["error"] == played.error["before"] > 2 * played.error["after"]
     assert played.history[-1]["error"] == played.error["after"]

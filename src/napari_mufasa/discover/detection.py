@@ -24,7 +24,7 @@ from napari_mufasa.discover.state import Ray
 from napari_mufasa.effects import Effect
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
-from napari_mufasa.simulate.movie import simulate, simulate_dark
+from napari_mufasa.simulate.movie import Progress, simulate, simulate_dark
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -33,8 +33,6 @@ FIRST_SEED = 30_000  # of the movies with the effect
 CONFIDENCE = 0.95
 LOOKS = 10  # at most: diagnoses of movies without the effect, each of which tells anew what chance does …
 EACH = 4  # … for so many movies with it at least
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,8 @@ class Power:
     @property
     def interval(self) -> tuple[float, float]:
         """The 95 % interval of `share`: that of Clopper and Pearson for as many movies, each with a diagnosis of its
-        own, as would tell the share as well (Korn and Graubard, Surv. Methodol. 24, 193, 1998)."""
+        own, as would tell the share as well (Korn and Graubard, Surv. Methodol. 24, 193, 1998). Where all are seen, or
+        none, nothing tells how far diagnoses differ: it is that of so many movies."""
         n, tail = self._worth_movies, (1 - CONFIDENCE) / 2
         seen = n * self.share
         low = stats.beta.ppf(tail, seen, n - seen + 1) if seen > 0 else 0.0
