@@ -26,6 +26,15 @@ def test_a_cameras_own_patterns_are_no_light(seed):
     assert light_in_dark(nm.simulate(model, seed=seed).movie, nm.simulate_dark(model, 20, seed=seed)) is None
 
 
+@pytest.mark.parametrize("n", [50, 200])
+def test_hot_pixels_that_outshine_the_noise_are_no_light(n):
+    """Of 16 384 pixels, sixty times the noise: what they add to a smooth image, their neighbours have in common."""
+    rng = np.random.default_rng(n)
+    hot = np.zeros((128, 128))
+    hot.flat[rng.choice(hot.size, n, replace=False)] = rng.exponential(60.0, n)
+    assert light_in_dark(hot + rng.normal(1, 1, hot.shape), hot + rng.normal(0, 1, hot.shape)) is None
+
+
 def test_light_is_told(recwarn):
     movie = nm.simulate(MODEL, seed=1).movie
     assert "brighter than the movie" in light_in_dark(movie, movie[:20] + 3)

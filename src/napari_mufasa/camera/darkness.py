@@ -49,10 +49,13 @@ def _mean(stack: Any) -> NDArray[np.float64]:
 def _fine(image: NDArray[np.float64]) -> NDArray[np.float64]:
     from scipy.ndimage import uniform_filter
 
-    fine = image - uniform_filter(image, SMOOTH_PX)
-    # Hot pixels would outweigh all others.
-    most = 6 * 1.4826 * np.median(np.abs(fine - np.median(fine)))
-    return np.asarray(np.clip(fine, -most, most) if most > 0 else fine)
+    for _ in range(2):  # hot pixels would outweigh all others, and by what they add to a smooth image their neighbours
+        smooth = uniform_filter(image, SMOOTH_PX)
+        fine = image - smooth
+        most = 6 * 1.4826 * np.median(np.abs(fine - np.median(fine)))
+        fine = np.clip(fine, -most, most) if most > 0 else fine
+        image = smooth + fine
+    return np.asarray(fine)
 
 
 def _correlation(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:

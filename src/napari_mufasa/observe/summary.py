@@ -110,15 +110,23 @@ def trace_levels(table: Table, states: Dynamics) -> None:
 
 def _level_positions(table: Table, states: Dynamics, positions: Array, shape_px: tuple[int, int]) -> None:
     """How bright molecules are where."""
-    logs = np.log(states.on_level)
-    middle = _trimmed_mean(logs)
     half = max(shape_px) / 2
     v = (positions[:, 0] - (shape_px[0] - 1) / 2) / half
     u = (positions[:, 1] - (shape_px[1] - 1) / 2) / half
-    r2, y, x = _slopes(np.clip(logs - middle, -1.5, 1.5), v, u)
+    r2, y, x = _slopes(_drawn_in(np.log(states.on_level)), v, u)
     table.add("level_position_radial", r2, "brightness against distance from the centre", "ln", "spots")
     table.add("level_position_tilt_y", y, "brightness tilt along y", "ln", "spots")
     table.add("level_position_tilt_x", x, "brightness tilt along x", "ln", "spots")
+
+
+def _drawn_in(values: Array) -> Array:
+    """Values from their median, none farther than three times as far as half of them (two standard deviations of a
+    normal law): pairs that pass for one spot, and hot pixels that pass for spots, would rule slopes."""
+    if not values.size:
+        return values
+    apart = values - np.median(values)
+    reach = 3 * np.median(np.abs(apart))
+    return np.clip(apart, -reach, reach)
 
 
 def _slopes(values: Array, v: Array, u: Array) -> tuple[float, float, float]:
