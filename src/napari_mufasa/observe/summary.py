@@ -199,7 +199,8 @@ def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
     early, late = np.array([_on_mean(light, on, i) for i in (thirds[0], thirds[2])])
     both = np.isfinite(early) & np.isfinite(late) & (early > 0)
     ratio = late[both] / early[both]
-    fallen, middle, risen = _ranked(ratio, (0.16, 0.5, 0.84), 1.0)
+    middle = _trimmed_mean(ratio) if ratio.size else 1.0
+    fallen, risen = _ranked(ratio, (0.16, 0.84), 1.0)
     table.add("level_trend", middle - 1, "change of level while on, last third / first", "", "traces")
     table.add(
         "level_trend_spread",
