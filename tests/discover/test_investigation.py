@@ -654,6 +654,29 @@ def test_what_stands_in_for_something_else_is_exchanged(first):
     assert inquiry.stand.error < error if first == "photobleaching" else inquiry.stand.error <= error
 
 
+@pytest.mark.parametrize(
+    ("rival", "gain", "is_tried"),
+    [
+        ("delayed_activation", 6.0, True),  # known to look alike; the emulator saw it do little beside the effect
+        ("delayed_activation", 4.0, False),
+        ("row_noise", 49.0, False),
+        ("row_noise", 51.0, True),
+        ("background_as_measured", 80.0, False),  # describes only
+    ],
+)
+def test_what_is_known_to_look_alike_is_tried_in_the_place_of_an_effect_where_it_promises_a_little(
+    rival, gain, is_tried
+):
+    rays = {rival: ["settings"]}
+    lead = SimpleNamespace(gain=gain, ray=SimpleNamespace(effect=SimpleNamespace(kind=rival)))
+    bare = SimpleNamespace(screen=lambda x, rays: {kind: [lead] for kind in rays})
+    stand = SimpleNamespace(
+        worths={"long_dark_state": Worth(100.0, 2.0, 15.0)}, library=SimpleNamespace(rays=rays), x=None,
+        without=lambda kind: bare, needed=lambda kind: 15.0,
+    )  # fmt: skip
+    assert Stand.rivals_of(stand, "long_dark_state") == ([[lead]] if is_tried else [])
+
+
 @pytest.mark.parametrize(("p_misfit", "verdict"), [(0.5, "adequate"), (1e-4, "unexplained")])
 def test_an_alarm_that_no_fit_confirms_is_chance_unless_the_whole_misfit_is_not(p_misfit, verdict):
     null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_misfit))
@@ -704,12 +727,18 @@ def test_what_is_left_beyond_chance_is_unexplained_as_a_whole_or_in_one_observab
 
     believed = SimpleNamespace(error=5.0, state=SimpleNamespace(adjusted=lambda x: seen(before)))
     state = SimpleNamespace(
-        adjusted=lambda x: seen(farthest), misfit=lambda x: 100.0, measurable=np.ones(111, dtype=bool)
-    )
+        adjusted=lambda x: seen(farthest), measurable=np.ones(111, dtype=bool), floor=1.0,
+        at_floor=lambda x: after < rules.AT_FLOOR,
+    )  # fmt: skip
     null = SimpleNamespace(misfit=SimpleNamespace(p=lambda misfit: p_left))
-    state.floor = 1.0
-    stand = SimpleNamespace(added=("stage_drift",), state=state, null=null, x=None, misfit=100.0, error=after)
+    stand = SimpleNamespace(
+        added=("stage_drift",), state=state, first=believed.state, null=null, x=None, misfit=100.0, error=after
+    )
+    stand.one_is_off = Stand.one_is_off.func(stand)
     assert reporting.verdict_of(SimpleNamespace(first=believed, stand=stand)) == verdict
+    # What would be told as unexplained is not left as it is while there is a budget.
+    assert Stand.content.func(stand) == (p_left > rules.CONTENT and after < rules.AT_FLOOR and not stand.one_is_off)
+    assert not (Stand.content.func(stand) and verdict == "unexplained")
 
 
 def test_an_effect_of_the_model_believed_is_not_added_again(inquiry):

@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
-from scipy import stats
 
 from napari_mufasa.discover import joint, nuisance
-from napari_mufasa.discover.metric import soften, stretch
+from napari_mufasa.discover.metric import soften
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.discover.rules import CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.standing import Standing
-from napari_mufasa.discover.state import SCALES, State
+from napari_mufasa.discover.state import SCALES
 from napari_mufasa.effects import effect_class
 from napari_mufasa.model.model import Model
 from napari_mufasa.one_thread import one_thread
@@ -80,18 +78,7 @@ def verdict_of(inquiry: Standing) -> Verdict:
         return "unexplained" if left < MISFIT_ALARM or untried or stand.far_off else "adequate"
     share = (first.error - stand.error) / max(first.error - stand.state.floor, 1e-9)
     far = share < EXPLAINED or stand.error > FAR * stand.state.floor
-    one_is_off = _one_is_off(first.state, stand.state, stand.x)
-    return "unexplained" if (left < STILL_OFF and far) or one_is_off else "missing_effect"
-
-
-def _one_is_off(before: State, state: State, x: NDArray[np.float64]) -> bool:
-    """Was one observable so far off, and is so still, that chance would leave none of them there, on the same side and
-    mostly as far? What an effect has put off itself is the error of its form."""
-    off, was_off = (each.adjusted(x).soft[state.measurable] for each in (state, before))
-    by_chance = stats.norm.isf(STILL_OFF / (2 * off.size))
-    beyond_chance = np.minimum(np.abs(off), np.abs(was_off)) > by_chance
-    left = stretch(off) / np.where(beyond_chance, stretch(was_off), np.inf)
-    return bool(np.any(left > 1 - EXPLAINED))
+    return "unexplained" if (left < STILL_OFF and far) or stand.one_is_off else "missing_effect"
 
 
 def _history(inquiry: Standing) -> list[dict[str, Any]]:

@@ -32,15 +32,15 @@ BESIDE = 0.4  # of the best lead's evidence: what promises less and moves the sa
 FORM_FIRST = 0.3  # of the misfit left: leads that promise less wait until forms of what is in the model have been
 # tried; so do those that move what an effect in the model moves, or are known to look like it
 RIVAL = 0.5  # of what an effect is worth, or promises: what would explain so much of it in its place is tried there
+KNOWN = 0.05  # … or so much of it, where both are known to look alike
 RIVALS = 2  # … but no more of them
 ALIKE = 0.5  # of what two effects move: so much the same, and one may stand in the place of the other
 SHAPE = 0.015  # of the evidence of each other effect, so far as that moves the same: so much an effect must be worth,
 # for what the others leave is also the error of their form
 FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less are taken out together
 CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an effect is worth so much, is worth it
-FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried; and a rival that is known to look
-# alike, or whose settings end before it is at its best; of all that is explained: what is worth less may be its rival's
-# form
+FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried; and a rival whose settings end
+# before it is at its best; of all that is explained: what is worth less may be its rival's form
 NEARER = 0.97  # of the misfit: simulations of where a step downhill leads confirm it
 PROMISED = 2.0  # −2 log likelihood: a step downhill of which the slopes promise less is not worth its simulations
 LINEAR = 0.4  # log units or quarters of the range: as far about as a model is linear in a parameter

@@ -8,25 +8,30 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from napari_mufasa.discover import joint
 from napari_mufasa.discover.library import Library
+from napari_mufasa.discover.metric import stretch
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.rules import (
     ALIKE,
     AT_ONCE,
     BESIDE,
     CONTENT,
+    EXPLAINED,
     FALLS,
     FAR,
     FORM_FIRST,
     FORM_WORTH,
     FURTHER,
+    KNOWN,
     MISFIT_ALARM,
     NOT_RISEN,
     RIVAL,
     RIVALS,
     SHAPE,
+    STILL_OFF,
     SURE,
 )
 from napari_mufasa.discover.state import Lead, Ray, State
@@ -83,8 +88,18 @@ class Stand:
 
     @cached_property
     def content(self) -> bool:
-        """Is the error at its floor, and no more misfit left than chance leaves?"""
-        return self.state.at_floor(self.x) and self.null.misfit.p(self.misfit) > CONTENT
+        """Is the error at its floor, and no more misfit left than chance leaves, as a whole and in any observable?"""
+        return self.state.at_floor(self.x) and self.null.misfit.p(self.misfit) > CONTENT and not self.one_is_off
+
+    @cached_property
+    def one_is_off(self) -> bool:
+        """Was one observable so far off, and is so still, that chance would leave none of them there, on the same side
+        and mostly as far? What an effect has put off itself is the error of its form."""
+        off, was_off = (each.adjusted(self.x).soft[self.state.measurable] for each in (self.state, self.first))
+        by_chance = stats.norm.isf(STILL_OFF / (2 * off.size))
+        beyond_chance = np.minimum(np.abs(off), np.abs(was_off)) > by_chance
+        left = stretch(off) / np.where(beyond_chance, stretch(was_off), np.inf)
+        return bool(np.any(left > 1 - EXPLAINED))
 
     @cached_property
     def far_off(self) -> bool:
@@ -186,14 +201,14 @@ class Stand:
 
     def rivals_of(self, kind: str) -> list[Case]:
         """What promises much of what an added effect is worth, in its place, and of what is known to look like it, a
-        part of that; best first."""
+        little of that, for beside that effect it is seen to do less than alone; best first."""
         worth = self.worths[kind]
         laws = {k: rays for k, rays in self.library.rays.items() if not effect_class(k).describes_only}
         leads = self.without(kind).screen(self.x, laws).values()
         least = max(worth.evidence, self.needed(kind))
 
         def is_much(lead: Lead) -> bool:
-            return lead.gain > (FORM_WORTH if are_rivals(kind, lead.ray.effect.kind) else RIVAL) * least
+            return lead.gain > (KNOWN if are_rivals(kind, lead.ray.effect.kind) else RIVAL) * least
 
         return sorted((forms for forms in leads if is_much(forms[0])), key=lambda forms: -forms[0].gain)
 
