@@ -63,9 +63,7 @@ def played():
 
 
 def test_three_effects_are_found_together_as_near_as_a_fit_that_starts_at_the_truth(played):
-    """How far above its floor a movie of 14 molecules is, is chance; a fit from the true values has the same chance.
-    (By seeds 3 and 4 the ratio is .97 and 1.04; by seed 2 either ends far above, and the last digits of a machine tell
-    where: 1.36 on one.)"""
+    """How far above its floor a movie of 14 molecules is, is chance; a fit from the true values has the same chance."""
     assert set(played.chosen) == MISSING and played.verdict == "missing_effect"
     told = investigation(seed=4)
     told.add(*HIDDEN)
