@@ -261,13 +261,17 @@ def test_a_camera_without_a_register_is_not_taken_for_an_emccd_in_silence():
 
     model = camera_with("CMOS", cmos_gain_curve=((0, 0), (1, 1)))
     movie, dark = nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)
-    assert "is this really an EMCCD?" in calibrate(movie, dark).notes[0]
+    assert "is this really an EMCCD?" in calibrate(movie, dark, camera_type="EMCCD").notes[0]
+    found = calibrate(movie, dark)
+    assert found.camera.type == "CCD" and "CCD is taken" in found.notes[-1] and "CMOS counts alike" in found.notes[-1]
+    assert calibrate(movie, dark, electrons_per_adu=0.8).camera.type == "CCD"  # 1 electron² for each
     assert measured_camera(movie, dark).type == "CCD"
     assert measured_camera(movie, dark).electrons_per_adu == pytest.approx(0.8, rel=0.03)
     assert measured_camera(movie, dark, camera_type="CMOS").type == "CMOS"
     model = camera_with("EMCCD")
     movie, dark = nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)
     assert measured_camera(movie, dark).type == "EMCCD"
+    assert calibrate(movie, dark).camera.type == "EMCCD"
     assert not any("really an EMCCD" in note for note in calibrate(movie, dark).notes)
 
 

@@ -597,6 +597,11 @@ def test_diagnose_says_whether_it_holds_elsewhere(cli, told, movie_file, model_f
     assert "Does it hold elsewhere?" in (out_dir / "report.html").read_text()
 
 
+def test_a_movie_to_check_on_is_opened_before_the_diagnosis(cli, told, movie_file, model_file, tmp_path):
+    code, _, err = cli("diagnose", movie_file, "--model", model_file, "--out", tmp_path / "d", "--check", "none.tif")
+    assert code == 2 and "none.tif" in err and not told
+
+
 def test_refine_adds_what_the_user_names(cli, told, movie_file, model_file, tmp_path):
     code, _, _ = cli("refine", movie_file, "--model", model_file, "--add", "stage_drift", "laser_drift:change=-0.3",
                      "--out", tmp_path / "d")  # fmt: skip

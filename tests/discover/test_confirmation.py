@@ -63,6 +63,23 @@ def test_parameters_that_do_not_agree_are_told(here):
     assert any(line.startswith("Row read-out noise, ") and "there" in line for line in check_lines(found))
 
 
+@pytest.mark.parametrize(
+    ("verdicts", "shared", "words"),
+    [
+        (("adequate", "adequate"), 1.0, "nothing is missing in either"),
+        (("unexplained", "unexplained"), 0.0, "no effect is named in either"),
+        (("adequate", "unexplained"), 0.0, "no effect is named in either"),
+    ],
+)
+def test_no_name_is_not_no_failure(here, verdicts, shared, words):
+    """Two movies that nothing explains share no finding."""
+    one, other = (replace(here, verdict=verdict, chosen=[]) for verdict in verdicts)
+    error = {"before": 2.0, "carried": 2.0, "after": 2.0, "floor": 1.0}
+    held = nm.discover.Confirmation(one, other, error)
+    assert held.shared == shared
+    assert check_lines(held.to_dict("OTHER.tif"))[0] == f"Checked on OTHER.tif: {words}."
+
+
 def test_two_halves_of_a_field_say_the_same():
     movie, dark = recorded(ROWS, seed=8)
     held = nm.confirm_halves(movie, model(), dark, effects=KINDS, seed=2)

@@ -96,6 +96,7 @@ def test_a_spent_budget_ends_the_search_and_is_told():
     report = play(inquiry, None)
     assert report.simulations["spent"] < 330 + rules.TELLING + 80  # the neighbourhood counts whole
     assert len(report.chosen) < 3 and any("budget of 330 simulations" in note for note in report.notes)
+    assert (report.simulations["spent"] > 330) == any("(looking took" in note for note in report.notes)
     assert report.cut_short and "the budget of 330 simulations left" in verdict_text(report)[0]
 
 

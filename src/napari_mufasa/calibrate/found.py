@@ -84,7 +84,7 @@ class Calibration:
     saturation_adu : where counts pile up; None: nowhere
     leading_dark : frames at the movie's beginning that were taken for dark frames
     camera : a `Camera` with these values; curve : photon transfer (mean − baseline, variance − dark) in ADU
-    notes : what was assumed
+    notes : what was assumed · type_untold : words where the camera's type was not given, and its counts do not tell it
     """
 
     baseline_adu: Value
@@ -106,6 +106,7 @@ class Calibration:
     notes: list[str] = field(default_factory=list)
     stray: Stray | None = None
     leading_dark: int = 0
+    type_untold: str | None = None
 
     @property
     def law_holds(self) -> bool:

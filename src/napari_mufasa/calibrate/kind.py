@@ -13,11 +13,14 @@ NO_REGISTER = 1.35  # F² below which it does not
 MANY_ADU = 10.0  # of variance per ADU of light that few cameras reach without a register
 
 
-def kind_of(found: Calibration) -> tuple[Literal["EMCCD", "CCD"], str | None]:
-    """EMCCD, or CCD (a CMOS counts its electrons alike), and words where the histogram does not tell."""
+def kind_of(found: Calibration, electrons_per_adu: float | None = None) -> tuple[Literal["EMCCD", "CCD"], str | None]:
+    """EMCCD, or CCD (a CMOS counts its electrons alike), and words where the histogram does not tell, nor the electrons
+    per ADU where they are known: a photoelectron then makes a variance of F² times the gain, in electrons²."""
     low, high = found.excess_noise_measured.interval
     if np.isfinite(low) and (high < 1.7 or low > NO_REGISTER):
         return "EMCCD" if low > NO_REGISTER else "CCD", None
+    if electrons_per_adu is not None:
+        return "EMCCD" if found.slope_adu.value * electrons_per_adu > NO_REGISTER else "CCD", None
     kind: Literal["EMCCD", "CCD"] = "EMCCD" if found.slope_adu.value > FEW_ADU else "CCD"
     return kind, (
         f"the histogram does not tell whether the camera multiplies; {kind} is taken, for a photoelectron makes "

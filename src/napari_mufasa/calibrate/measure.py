@@ -22,7 +22,7 @@ from napari_mufasa.calibrate.codes import code_widths, saturated_pixels, saturat
 from napari_mufasa.calibrate.dark import Dark, DarkFrames, measure_dark
 from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.instrument import camera_of
-from napari_mufasa.calibrate.kind import doubt
+from napari_mufasa.calibrate.kind import doubt, kind_of
 from napari_mufasa.calibrate.light import Light
 from napari_mufasa.calibrate.sample import leading_dark_frames, lit_chunks, shadow, some_frames
 from napari_mufasa.camera.darkness import FRAMES as LOOKED_AT
@@ -32,6 +32,7 @@ from napari_mufasa.errors import MufasaError
 CameraType = Literal["CCD", "EMCCD", "CMOS"]
 LEAST_UNSATURATED = 0.02  # share of the pixels that must be free of saturation for the others to be left out
 WIDE_PX = 32  # frames from which on the first columns can be spared
+_REGISTER = {"EMCCD": "that multiplies", "CCD": "without a register"}
 DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
 
 
@@ -39,7 +40,7 @@ def calibrate(
     movie: Any,
     dark: Any = None,
     *,
-    camera_type: CameraType = "EMCCD",
+    camera_type: CameraType | None = None,
     em_gain: float | None = None,
     electrons_per_adu: float | None = None,
     quantum_efficiency: float = 0.9,
@@ -60,6 +61,8 @@ def calibrate(
     dark : (frame, y, x) frames without light; without them dark frames at the movie's beginning are looked
         for, then a part of the chip in shadow, and failing that the baseline is where the fitted variance vanishes,
         with the read noise that the histogram shows: intervals are wider then
+    camera_type : None: an EMCCD, or a CCD where no gain is given and the histogram, or how few counts a photoelectron
+        makes, say that it has no register (`kind_of`); a CMOS counts its electrons alike
     em_gain, electrons_per_adu : photon transfer measures only their ratio; give one (default: gain 300 for
         an EMCCD) and the other follows
     excess_noise_factor : F² of the multiplication; None: 2 for an EMCCD, 1 else
@@ -79,14 +82,40 @@ def calibrate(
     shape = tuple(movie.shape)
     if shape[0] < 4:
         raise MufasaError(f"movie has shape {shape}: calibration needs at least 4 frames (frame, y, x)")
-    check_given(camera_type, em_gain, electrons_per_adu, quantum_efficiency, excess_noise_factor, baseline_adu)
+    check_given(
+        camera_type or "EMCCD", em_gain, electrons_per_adu, quantum_efficiency, excess_noise_factor, baseline_adu
+    )
     if dark is not None:
         dark = checks.dark_stack(dark, shape[1:])
         if told := light_in_dark(movie, dark):
             warnings.warn(told, stacklevel=2)
     kernel = None if readout_kernel is None else tuple(float(share) for share in readout_kernel)
     assumed = Assumed(excess_noise_factor, kernel, clock_induced_charge_e, baseline_adu, read_noise_adu)
-    register, notes = camera_type == "EMCCD", []
+
+    def taken_for(kind: CameraType) -> Calibration:
+        gain = em_gain if kind == "EMCCD" else None
+        known = (gain, electrons_per_adu, quantum_efficiency, assumed, adc_max)
+        return _calibrated(movie, dark, kind, *known, progress, cancel)
+
+    if camera_type is not None or (em_gain or 1.0) > 1:
+        return taken_for(camera_type or "EMCCD")
+    found = taken_for("EMCCD")
+    kind, untold = kind_of(found, electrons_per_adu)
+    found = found if kind == "EMCCD" else taken_for(kind)
+    alike = "" if kind == "EMCCD" else " (a CMOS counts alike: give its type if it is one)"
+    told = untold or f"its counts are those of a camera {_REGISTER[kind]}: {kind} is taken"
+    return replace(found, notes=[*found.notes, told + alike], type_untold=untold)
+
+
+def _calibrated(
+    movie: Any, dark: Any, camera_type: CameraType, em_gain: float | None, electrons_per_adu: float | None,
+    quantum_efficiency: float, assumed: Assumed, adc_max: int, progress: Callable[[int, int], None] | None,
+    cancel: Callable[[], bool] | None,
+) -> Calibration:  # fmt: skip
+    """The same of a camera whose type is known."""
+    shape, baseline_adu = tuple(movie.shape), assumed.baseline_adu
+    excess_noise_factor, clock_induced_charge_e = assumed.excess_noise_factor, assumed.clock_induced_charge_e
+    register, notes = camera_type == "EMCCD", list[str]()
     first = 0
     if dark is None and baseline_adu is None:
         first = leading_dark_frames(movie)

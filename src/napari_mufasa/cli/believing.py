@@ -29,7 +29,7 @@ def calibrate(
     movie: MovieFile,
     out: Annotated[Path, typer.Option("--out", metavar="camera.json", help="The camera part of a model.json.")],
     dark: DarkFile = None,
-    camera_type: Annotated[CameraName, typer.Option("--type", help="Of the camera.")] = "EMCCD",
+    camera_type: Annotated[CameraName | None, typer.Option("--type", help="Of the camera, if known.")] = None,
     em_gain: Gain = None,
     electrons_per_adu: PerAdu = None,
     baseline_adu: Annotated[
@@ -46,6 +46,7 @@ def calibrate(
     from napari_mufasa import files
     from napari_mufasa.calibrate.measure import calibrate as measure
     from napari_mufasa.files.instrument import read_instrument
+    from napari_mufasa.model.cameras import camera_type_of
 
     console.check_apart(out, report, figure)
     for path in (out, report, figure):
@@ -55,10 +56,11 @@ def calibrate(
     recorded = files.read_movie(movie).recorded().data
     background = console.dark_frames(dark)
     written = read_instrument(movie)
+    known = camera_type or camera_type_of(written.camera)
     with console.working("calibrating") as work:
         found = measure(
-            recorded, background, camera_type=camera_type,
-            em_gain=em_gain or (written.register_gain if camera_type == "EMCCD" else None),
+            recorded, background, camera_type=known,
+            em_gain=em_gain or (written.register_gain if known in (None, "EMCCD") else None),
             electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu,
             **work.both(),
         )  # fmt: skip

@@ -96,10 +96,10 @@ def diagnose(
         raise MufasaError(f"{movie} is no movie: is it a table of traces? add --traces")
     whole, dark_frames = believed, console.dark_frames(dark)
     recorded, believed, background = _loaded(movie, whole, dark_frames, channel)
+    other = None if check is None else _loaded(check, whole, dark_frames, channel)[0]
     with console.working("diagnosing", scheduler) as work:
         report = discover.diagnose(recorded, believed, background, seed=seed, budget=budget, **work.all())
     if check is not None:
-        other = _loaded(check, whole, dark_frames, channel)[0]
         with console.working(f"checking on {check.name}", scheduler) as work:
             held = discover.confirm(report, other, believed, background, seed=seed, budget=budget, **work.all())
         report = replace(report, check=held.to_dict(check.name))

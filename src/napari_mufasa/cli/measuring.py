@@ -54,7 +54,9 @@ TRACES = (
     "traces.csv", "molecules.csv", "paths.csv", "traces.h5", "traces.openfret.json", "molecules.png",
     "traces.png", "traces.provenance.json",
 )  # fmt: skip
-COMPARISON = ("report.json", "w1.png", "counts.png", "distributions.png", "traces.png", "compare.provenance.json")
+COMPARISON = (
+    "report.json", "w1.png", "counts.png", "distributions.png", "measured_traces.png", "compare.provenance.json",
+)  # fmt: skip
 
 
 def denoise(

@@ -180,14 +180,10 @@ def measured_camera(
     camera_type : None: an EMCCD, unless the histogram, or how few counts a photoelectron makes, say that it has no
         register: a CCD then
     """
-    from napari_mufasa.calibrate.kind import kind_of
     from napari_mufasa.calibrate.measure import calibrate
 
     try:
-        found = calibrate(movie, dark, camera_type=camera_type or "EMCCD", cancel=cancel)
-        if camera_type is None and kind_of(found)[0] == "CCD":
-            found = calibrate(movie, dark, camera_type="CCD", cancel=cancel)
-        return found.camera
+        return calibrate(movie, dark, camera_type=camera_type, cancel=cancel).camera
     except MufasaError as error:
         raise MufasaError(f"no camera was given and it cannot be measured: {error}") from None
 

@@ -55,9 +55,12 @@ class Confirmation:
 
     @property
     def shared(self) -> float:
-        """How much of all names given is given twice, 0 … 1; 1 where nothing is missing in either."""
+        """How much of all names given is given twice, 0 … 1; where none is given, 1 if nothing is missing in either, or
+        else 0."""
         named = {*self.here.chosen, *self.there.chosen}
-        return len(self.both) / len(named) if named else 1.0
+        if not named:
+            return float(self.here.verdict == self.there.verdict == "adequate")
+        return len(self.both) / len(named)
 
     @property
     def parameters(self) -> list[dict[str, Any]]:

@@ -209,7 +209,10 @@ def _notes(inquiry: Standing, verdict: Verdict, cut_short: bool, table: pd.DataF
             f"Not shown by every simulation with an effect, and no evidence for or against it there: {'; '.join(gaps)}."
         )
     if cut_short:
-        notes.append(f"The budget of {inquiry.budget} simulations is spent: more may be missing.")
+        spent = inquiry.bench.done
+        looked = f" (looking took {spent} already)" if spent > inquiry.budget else ""
+        room = f"The budget of {inquiry.budget} simulations has no room for a further effect"
+        notes.append(f"{room}{looked}: more may be missing.")
     left = table[table.z_after.abs() > OFF]
     if inquiry.chosen and len(left):
         worst = left.sort_values("z_after", key=np.abs, ascending=False).title.head(4)

@@ -10,7 +10,6 @@ import numpy as np
 
 from napari_mufasa import checks
 from napari_mufasa.calibrate.found import Calibration
-from napari_mufasa.calibrate.kind import kind_of
 from napari_mufasa.calibrate.known import Known
 from napari_mufasa.calibrate.measure import CameraType, calibrate, check_given
 from napari_mufasa.calibrate.value import NORMAL, Value
@@ -100,8 +99,7 @@ def propose_model(
         "quantum_efficiency": quantum_efficiency,
         "adc_max": _adc_max(movie, written.bit_depth, notes),
     }  # fmt: skip
-    kind = known or ("EMCCD" if (asked["em_gain"] or 1.0) > 1 else None)
-    camera, found = _camera(movie, dark, kind, asked, unknown, notes, cancel)
+    camera, found = _camera(movie, dark, known, asked, unknown, notes, cancel)
     timing = _timing(movie, written, pixel_size_nm, frame_length_s, unknown)
     lit = checks.unread(movie)[found.leading_dark :] if found is not None and found.leading_dark else movie
     seen = seen_in(lit, camera, dark, *_doubts(found), progress=progress, cancel=cancel)
@@ -134,17 +132,12 @@ def _camera(
     movie: Any, dark: Any, kind: CameraType | None, asked: dict[str, Any], unknown: dict[str, str], notes: list[str],
     cancel: Callable[[], bool] | None,
 ) -> tuple[Camera, Calibration | None]:  # fmt: skip
-    def measured(kind: CameraType) -> Calibration:
-        given = asked if kind == "EMCCD" else asked | {"em_gain": None}
-        return calibrate(movie, dark, camera_type=kind, cancel=cancel, **given)
-
+    given = asked if kind in (None, "EMCCD") else asked | {"em_gain": None}
     try:
-        found = measured(kind or "EMCCD")
-        if kind is None:
-            kind, untold = kind_of(found)
-            if untold is not None:
-                unknown["camera.type"] = untold
-            found = found if kind == "EMCCD" else measured(kind)
+        found = calibrate(movie, dark, camera_type=kind, cancel=cancel, **given)
+        kind = found.camera.type
+        if found.type_untold is not None:
+            unknown["camera.type"] = found.type_untold
         light_e = abs(float(np.mean(movie[:8])) - found.baseline_adu.value) / max(
             found.adu_per_photoelectron.value, 1e-12
         )
@@ -154,7 +147,7 @@ def _camera(
         unknown["camera"] = f"could not be measured ({error}); one electron per count is taken"
         unknown["optics.background_photons_per_px"] = "without the camera, counts are no photons"
         return _plain_camera(movie, dark, kind or "CCD", asked), None
-    notes += found.notes
+    notes += [note for note in found.notes if note != found.type_untold]
     if not found.law_holds:
         notes.append(
             f"test of fit of the camera: p = {found.p_value:.2g}: its law is not all there is, and its intervals may "

@@ -121,7 +121,7 @@ def comparison_drawings(comparison: Comparison) -> list[Drawing]:
         ),
         Drawing("distributions", "", (7.2, 7.2), lambda f: plotting.distributions(f, shown)),
         Drawing(
-            "traces", "Measured traces.", (7.2, 5.4),
+            "measured_traces", "Measured traces.", (7.2, 5.4),
             lambda f: plotting.contact_sheet(f, comparison.samples["measured"].traces), "png",
         ),
     ]  # fmt: skip

@@ -264,7 +264,8 @@ def check_lines(check: dict[str, Any]) -> list[str]:
         return []
     both, parameters, error = check["both"], check["parameters"], check["error"]
     named = [*both, *check["only_here"], *check["only_there"]]
-    names = f"{len(both)} of {len(named)} effects are named in both" if named else "nothing is missing in either"
+    none = "nothing is missing in either" if check["shared"] == 1 else "no effect is named in either"
+    names = f"{len(both)} of {len(named)} effects are named in both" if named else none
     lines = [f"Checked on {check['against']}: {names}."]
     for where, kinds in (("here", check["only_here"]), ("there", check["only_there"])):
         if kinds:

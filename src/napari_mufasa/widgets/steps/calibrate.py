@@ -30,7 +30,7 @@ def calibrate(
     movie: Movie,
     dark: Dark = None,
     dark_frames: DarkFrames = 0,
-    camera_type: Annotated[CameraType, {"label": "Type"}] = "EMCCD",
+    camera_type: Annotated[CameraType | None, {"label": "Type"}] = None,
     em_gain: EmGain = None,
     electrons_per_adu: ElectronsPerAdu = None,
     quantum_efficiency: Efficiency = 0.9,
@@ -40,7 +40,7 @@ def calibrate(
     """Measure the camera on a movie under steady light and its dark frames.
 
     Parameters:
-        camera_type: An EM register doubles the variance
+        camera_type: An EM register doubles the variance. None: as the counts tell
         electrons_per_adu: Photon transfer measures only its ratio to the EM gain: give one of them
         baseline_adu: Instead of dark frames
         read_noise_adu: Instead of dark frames
