@@ -15,7 +15,7 @@ from napari_mufasa.discover.library import as_seen, ray_settings
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.reporting import detectable
-from napari_mufasa.discover.rules import ALARM
+from napari_mufasa.discover.rules import ALARM, FORM_ERROR
 from napari_mufasa.discover.state import Ray, State, scaled, two_sided
 from napari_mufasa.effects import catalogue, effect_class
 from napari_mufasa.observe import PARTS
@@ -187,6 +187,19 @@ def test_screen_finds_the_ray_that_made_the_data_and_is_not_fooled_by_nuisance()
     assert leads["stage_drift"][0].scale == 0.7
     nuisance_only = state.screen(noise + state.slopes[:, :, 0] * 0.6, rays)
     assert max(forms[0].gain for forms in nuisance_only.values()) < 8
+
+
+def test_doubt_widens_what_effects_move_and_nothing_else():
+    """Errors of two laws that know nothing of each other, a share of what each moves, beside the noise."""
+    state = toy_state()
+    one, two = np.zeros((3, 25)), np.zeros((3, 25))
+    one[:, :10], two[:, 5:15] = 20.0, -10.0
+    doubted = state.doubting([one, two]).spread / state.spread
+    share = FORM_ERROR * np.array([20.0, 10.0])
+    np.testing.assert_allclose(doubted[:, :5], np.hypot(1, share[0]))
+    np.testing.assert_allclose(doubted[:, 5:10], np.sqrt(1 + share @ share))
+    np.testing.assert_allclose(doubted[:, 10:15], np.hypot(1, share[1]))
+    np.testing.assert_array_equal(doubted[:, 15:], 1.0)
 
 
 def test_a_ray_that_is_too_weak_says_that_it_ends():

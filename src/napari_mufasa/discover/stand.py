@@ -30,7 +30,6 @@ from napari_mufasa.discover.rules import (
     NOT_RISEN,
     RIVAL,
     RIVALS,
-    SHAPE,
     STILL_OFF,
     SURE,
 )
@@ -114,7 +113,12 @@ class Stand:
     @cached_property
     def leads(self) -> dict[str, list[Lead]]:
         """What every effect not yet in the model promises in each of its forms, by the emulator; best first."""
-        return dict(sorted(self.state.screen(self.x, self.library.rays).items(), key=lambda item: -item[1][0].gain))
+        return dict(sorted(self.in_doubt.screen(self.x, self.library.rays).items(), key=lambda item: -item[1][0].gain))
+
+    @cached_property
+    def in_doubt(self) -> State:
+        """The state that allows for errors of the form of the effects in it."""
+        return self.state.doubting(self.moved_by(kind) for kind in self.added)
 
     @property
     def alarmed(self) -> bool:
@@ -134,7 +138,7 @@ class Stand:
         found: list[list[Case]] = []
         while rays and len(found) < AT_ONCE:
             taken = [cases[0][0] for cases in found]
-            leads = self.state.screen(self.x, rays, taken)
+            leads = self.in_doubt.screen(self.x, rays, taken)
             least = {kind: self._least(forms[0], taken) for kind, forms in leads.items()}
             if not (clear := [k for k, forms in leads.items() if forms[0].gain > least[k]]):
                 break
@@ -168,16 +172,19 @@ class Stand:
         if len(self.added) == 1 and not known:  # the model without it is the one believed
             alone = self.first.score(self.x) - self.state.score(self.x)
             return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.needed(self.added[0]))}
-        states = {kind: self.without(kind) for kind in self.added}
-        evidence = {kind: state.misfit(self.x) - self.misfit for kind, state in states.items()}
-        moved = {kind: self.moved_by(kind) for kind in states}
         found = {}
-        for kind, state in states.items():
-            shared = {k: _shared(moved[kind], moved[k], self.state.spread) for k in states if k != kind}
-            forms = SHAPE * sum(shared[k] * max(evidence[k], 0.0) for k in shared)
-            needed = max(self.null.evidence_of(kind).at(FURTHER), forms)
-            found[kind] = known.get(kind) or Worth(evidence[kind], state.held_out_error(self.x), needed)
+        for kind in self.added:
+            state = self.without(kind)
+            evidence = state.misfit(self.x) - self.misfit
+            needed = self.null.evidence_of(kind).at(FURTHER) * max(evidence / self._beyond_doubt(kind), 1.0)
+            found[kind] = known.get(kind) or Worth(evidence, state.held_out_error(self.x), needed)
         return found
+
+    def _beyond_doubt(self, kind: str) -> float:
+        """How much of an added effect's evidence the form of the others cannot account for."""
+        others = [self.moved_by(other) for other in self.added if other != kind]
+        here, without = (state.doubting(others) for state in (self.state, self.without(kind)))
+        return max(without.misfit(self.x) - here.misfit(self.x), 1e-9)
 
     def without(self, kind: str) -> State:
         """The model without one of its effects, the others where they are."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from napari_mufasa.discover.coordinates import changed, model_at, room
 from napari_mufasa.discover.metric import SOFT, Adjusted, adjust, at_the_end, soften, stretch
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.rules import AT_FLOOR, FAR_OFF
+from napari_mufasa.discover.rules import AT_FLOOR, FAR_OFF, FORM_ERROR
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import PARTS
@@ -156,6 +156,12 @@ class State:
         slopes, prior = self.slopes[:, :, keep], self.prior[keep]
         return replace(self, model=model, free=free, slopes=slopes, prior=prior, unread=unread)
 
+    def doubting(self, shifts: Iterable[Array]) -> State:
+        """The state that knows what effects move (part, observable), by their laws, but to a share (`FORM_ERROR`): the
+        law of one in the measurement need not be that of the catalogue."""
+        doubt = sum((np.square(FORM_ERROR * shift) for shift in shifts), np.zeros_like(self.spread))
+        return replace(self, spread=np.sqrt(self.spread**2 + doubt))
+
     def misfit(self, x: Array) -> float:
         return self.adjusted(x).chi2
 
@@ -181,7 +187,7 @@ class State:
         `taken`: leads that are taken up already; the others are asked what they explain beside them.
         """
         w = self.whiten[0]
-        spread = self.spread[0]
+        spread = self.doubting(lead.shift for lead in taken).spread[0]
         mean, slopes, prior, room = self.mean[0], self.slopes[0], self.prior, self.room
         for lead in taken:
             mean = mean + lead.shift[0]
