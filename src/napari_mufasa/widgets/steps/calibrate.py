@@ -2,7 +2,7 @@
 
 from functools import partial
 from html import escape
-from typing import Annotated
+from typing import Annotated, Any
 
 from magicgui import magic_factory
 
@@ -59,7 +59,13 @@ def calibrate(
     )  # fmt: skip
 
 
-calibrate_widget = magic_factory(calibrate, call_button="Measure", widget_init=begin)
+def _begin(form: Any) -> None:
+    begin(form)
+    form.camera_type.null_string = "as the counts tell"
+    form.camera_type.reset_choices()
+
+
+calibrate_widget = magic_factory(calibrate, call_button="Measure", widget_init=_begin)
 
 
 def believe(session: Session, movie: str, found: Calibration) -> str:
