@@ -389,26 +389,42 @@ def test_a_whole_fit_goes_on_downhill_where_it_ends_near_the_floor_or_beside_a_r
 ):
     """Simulations of where it has led say that the effect is worth 100; from there the way goes on to where it is worth
     nothing."""
+    near, further = _stood(150.0, without), _stood(50.0, 1.0)
+    monkeypatch.setattr(steps.joint, "deepened", lambda *_: further)
+    worth, lesser = steps.Steps._lesser(_fitted_without(near, rivals, monkeypatch), ["one"], 20.0)
+    assert (worth.evidence, lesser) == ((0.0, further) if followed else (100.0, None))
 
-    def stood(misfit, error):
-        state = SimpleNamespace(floor=1.0, misfit=lambda x: misfit, held_out_error=lambda x: error, model=None)
-        state.score = state.misfit
-        return SimpleNamespace(state=state, misfit=misfit, error=error, library=None)
 
-    near, further = stood(150.0, without), stood(50.0, 1.0)
-    stand = stood(50.0, 1.0)
+@pytest.mark.parametrize(("simulated", "worth_its_place"), [(500.0, True), (55.0, False), (None, False)])
+def test_an_effect_goes_only_where_simulations_show_what_slopes_promise_without_it(
+    simulated, worth_its_place, monkeypatch
+):
+    """By slopes the others do without it; where they put values far away, simulations with these have the word."""
+    near, there = _stood(55.0, 1.0), None if simulated is None else _stood(simulated, 0.1 * simulated**0.5)
+    monkeypatch.setattr(steps.joint, "arrived", lambda *_: there)
+    worth, lesser = steps.Steps._lesser(_fitted_without(near, [], monkeypatch), ["one"], 20.0)
+    assert worth.evidence == (5.0 if simulated is None else simulated - 50.0)
+    assert lesser is (None if worth_its_place else there or near)
+
+
+def _stood(misfit, error):
+    state = SimpleNamespace(floor=1.0, misfit=lambda x: misfit, held_out_error=lambda x: error, model=None)
+    state.score = state.misfit
+    return SimpleNamespace(state=state, misfit=misfit, error=error, library=None)
+
+
+def _fitted_without(near, rivals, monkeypatch):
+    """At a misfit of 50 and the floor, an inquiry that comes to `near` without an effect."""
+    stand = _stood(50.0, 1.0)
     stand.x, stand.rivals_added = None, lambda kind: rivals
     stand.is_worth = lambda worth: worth.is_some and stand.error * 1.04 < worth.error_without
     monkeypatch.setattr(steps.joint, "removed", lambda library, *kinds: None)
     monkeypatch.setattr(steps.joint, "brought", lambda *_: near.state)
     monkeypatch.setattr(steps.joint, "seen_from", lambda *_: near)
-    monkeypatch.setattr(steps.joint, "deepened", lambda *_: further)
-    inquiry = SimpleNamespace(
+    return SimpleNamespace(
         stand=stand, kinds=[], left=1000, bench=SimpleNamespace(plan=lambda n: None),
         _settling=lambda n: 0, _seen_in=lambda library: library,
     )  # fmt: skip
-    worth, lesser = steps.Steps._lesser(inquiry, ["one"], 20.0)
-    assert (worth.evidence, lesser) == ((0.0, further) if followed else (100.0, None))
 
 
 @pytest.mark.parametrize(("at_floor", "without", "may"), [(True, 1.3, True), (True, 1.4, False), (False, 1.3, False)])

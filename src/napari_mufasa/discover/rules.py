@@ -36,6 +36,8 @@ KNOWN = 0.05  # … or so much of it, where both are known to look alike
 RIVALS = 2  # … but no more of them
 ALIKE = 0.5  # of what two effects move: so much the same, and one may stand in the place of the other
 FORM_ERROR = 0.15  # of what an effect moves: so far may its law in the measurement be from that of the catalogue
+SHAPE = 0.015  # of the evidence of each other effect, so far as that moves the same: so much an effect must be worth,
+# for what the others leave is also the error of their form
 FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less are taken out together
 CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an effect is worth so much, is worth it
 FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried; and a rival whose settings end

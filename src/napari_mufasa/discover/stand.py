@@ -30,6 +30,7 @@ from napari_mufasa.discover.rules import (
     NOT_RISEN,
     RIVAL,
     RIVALS,
+    SHAPE,
     STILL_OFF,
     SURE,
 )
@@ -129,16 +130,20 @@ class Stand:
     def promising(self, but: set[str]) -> list[list[Case]]:
         """The effects that explain the misfit together, each beside those before it, and with each what promises about
         as much in its place. One that moves what those before it move, and promises much less than the best, waits
-        until they are in; one that only describes, until no other promises anything."""
-        rays = {kind: rays for kind, rays in self.library.rays.items() if kind not in but}
-        describing = {kind: rays.pop(kind) for kind in list(rays) if effect_class(kind).describes_only}
-        return self._together(rays) or self._together(describing)
+        until they are in; one that only describes, until no other promises anything; and what the form of those in the
+        model may have left is no lead, but where the error is not explained and nothing else is left."""
+        laws = {kind: rays for kind, rays in self.library.rays.items() if kind not in but}
+        describing = {kind: laws.pop(kind) for kind in list(laws) if effect_class(kind).describes_only}
+        far = self.error > FAR * self.state.floor
+        seen_by = [self.in_doubt, self.state] if far else [self.in_doubt]
+        tries = (self._together(dict(rays), state) for rays in (laws, describing) for state in seen_by)
+        return next((found for found in tries if found), [])
 
-    def _together(self, rays: dict[str, list[Ray]]) -> list[list[Case]]:
+    def _together(self, rays: dict[str, list[Ray]], state: State) -> list[list[Case]]:
         found: list[list[Case]] = []
         while rays and len(found) < AT_ONCE:
             taken = [cases[0][0] for cases in found]
-            leads = self.in_doubt.screen(self.x, rays, taken)
+            leads = state.screen(self.x, rays, taken)
             least = {kind: self._least(forms[0], taken) for kind, forms in leads.items()}
             if not (clear := [k for k, forms in leads.items() if forms[0].gain > least[k]]):
                 break
@@ -172,19 +177,16 @@ class Stand:
         if len(self.added) == 1 and not known:  # the model without it is the one believed
             alone = self.first.score(self.x) - self.state.score(self.x)
             return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.needed(self.added[0]))}
+        states = {kind: self.without(kind) for kind in self.added}
+        evidence = {kind: state.misfit(self.x) - self.misfit for kind, state in states.items()}
+        moved = {kind: self.moved_by(kind) for kind in states}
         found = {}
-        for kind in self.added:
-            state = self.without(kind)
-            evidence = state.misfit(self.x) - self.misfit
-            needed = self.null.evidence_of(kind).at(FURTHER) * max(evidence / self._beyond_doubt(kind), 1.0)
-            found[kind] = known.get(kind) or Worth(evidence, state.held_out_error(self.x), needed)
+        for kind, state in states.items():
+            shared = {k: _shared(moved[kind], moved[k], self.state.spread) for k in states if k != kind}
+            forms = SHAPE * sum(shared[k] * max(evidence[k], 0.0) for k in shared)
+            needed = max(self.null.evidence_of(kind).at(FURTHER), forms)
+            found[kind] = known.get(kind) or Worth(evidence[kind], state.held_out_error(self.x), needed)
         return found
-
-    def _beyond_doubt(self, kind: str) -> float:
-        """How much of an added effect's evidence the form of the others cannot account for."""
-        others = [self.moved_by(other) for other in self.added if other != kind]
-        here, without = (state.doubting(others) for state in (self.state, self.without(kind)))
-        return max(without.misfit(self.x) - here.misfit(self.x), 1e-9)
 
     def without(self, kind: str) -> State:
         """The model without one of its effects, the others where they are."""

@@ -251,7 +251,8 @@ class Steps(Standing):
         """What effects are worth by a whole fit without them, and the stand without them where that is too little. Its
         neighbourhood is simulated where a few simulations leave that in doubt, or end near the floor; there, what still
         is worth its place is judged at the end of the way downhill: the others may do without it, and slopes taken
-        beside it need not show how."""
+        beside it need not show how. And what is not is judged where simulations, not slopes, say that the others have
+        come to without it."""
         stand, x = self.stand, self.stand.x
         self.bench.plan(REMOVALS + self._settling(0))
         there = joint.brought(stand.library, joint.removed(stand.library, *kinds), x, self.kinds, self.left)
@@ -261,7 +262,8 @@ class Steps(Standing):
             return worth, None
         lesser = self._seen_in(joint.seen_from(stand.library, there.model, self.kinds))
         worth = _worth_beside(stand, lesser, needed)
-        if stand.is_worth(worth) and not far and (near := joint.deepened(lesser.library, x, self.kinds, self.left)):
+        further = joint.arrived if not stand.is_worth(worth) else None if far else joint.deepened
+        if further is not None and (near := further(lesser.library, x, self.kinds, self.left)):
             lesser = self._seen_in(near)
             worth = _worth_beside(stand, lesser, needed)
         return worth, None if stand.is_worth(worth) else lesser
