@@ -284,21 +284,34 @@ def test_what_is_worth_little_goes_together_only_where_together_it_is_not_worth_
     assert steps.Steps.prune(worth_two) == {"one"} and worth_two.chosen == ["two", "three", "sure"]
 
 
+class Spent(Doubted):
+    """No fit can be afforded; without the `promised` the others come to where only slopes say that they do."""
+
+    reserve, promised = 0, ()
+
+    def affords(self, n):
+        return False
+
+    def _stand(self, added):
+        stand = super()._stand(added)
+        stand.library, stand.is_promise = added, lambda kind: kind in self.promised
+        return stand
+
+    def _seen_in(self, near):
+        return self._stand(near)
+
+
+def test_what_only_slopes_promise_is_no_reason_to_take_an_effect_out_without_a_fit(monkeypatch):
+    monkeypatch.setattr(steps.joint, "left_out", lambda added, kind: tuple(k for k in added if k != kind))
+    surely, promised = Spent(together=15.0), Spent(together=15.0)
+    promised.promised = ("one",)
+    assert steps.Steps.prune(surely, sure=True) == {"one", "two"}  # the third is worth more without them
+    assert steps.Steps.prune(promised, sure=True) == {"two", "three"} and promised.chosen == ["one", "sure"]
+
+
 @pytest.mark.parametrize(("reserve", "sure", "out"), [(0, False, {"one"}), (1, False, set()), (0, True, set())])
 def test_what_has_not_earned_its_place_goes_where_no_fit_can_be_afforded(monkeypatch, reserve, sure, out):
     """One at a time, the others are worth more without it; not on the way, nor while later ones can tell by fits."""
-
-    class Spent(Doubted):
-        def affords(self, n):
-            return False
-
-        def _stand(self, added):
-            stand = super()._stand(added)
-            stand.library = added
-            return stand
-
-        def _seen_in(self, near):
-            return self._stand(near)
 
     monkeypatch.setattr(steps.joint, "left_out", lambda added, kind: tuple(k for k in added if k != kind))
     spent = Spent(together=45.0)

@@ -26,6 +26,7 @@ from napari_mufasa.discover.rules import (
     FORM_WORTH,
     FURTHER,
     KNOWN,
+    LINEAR,
     MISFIT_ALARM,
     NOT_RISEN,
     RIVAL,
@@ -267,6 +268,13 @@ class Stand:
             return self.error * FALLS < worth.error_without
         sure = worth.evidence > self.null.evidence.at(SURE) and self.state.at_floor(self.x)
         return self.error < worth.error_without * (NOT_RISEN if sure else 1.0)
+
+    def is_promise(self, kind: str) -> bool:
+        """Do the others make up for an added effect only by values farther away than a model is about linear in? That
+        is what slopes promise, and no simulation has shown."""
+        state = self.without(kind)
+        moves = state.adjusted(self.x).moves[len(state.values) :]
+        return bool(np.any(np.abs(moves) > LINEAR))
 
     def may_stand_in(self, kind: str) -> bool:
         """Is an effect worth so little of another that it may make up for where the values of that one have come to:

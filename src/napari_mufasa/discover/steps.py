@@ -112,9 +112,10 @@ class Steps(Standing):
     def prune(self, sure: bool = False) -> set[str]:
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
         worth what one needs, then one by one; what only a whole fit without them can tell is told by one. Where only
-        what is `sure` shall go, what is worth far less goes, the least first, all else where it is; where the budget
-        affords no fit, so does then what has not earned its place (not at the end of a way while some of the budget is
-        kept for another). Returns the kinds taken out."""
+        what is `sure` shall go, what is worth far less goes, the least first, all else where it is, but for what others
+        make up for only by values that slopes put far away; where the budget affords no fit, so does then what has not
+        earned its place (not at the end of a way while some of the budget is kept for another). Returns the kinds taken
+        out."""
         dropped: set[str] = set()
         at_once = True
         while self.chosen:
@@ -132,8 +133,11 @@ class Steps(Standing):
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
             far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
             if sure or not self.affords(0):
-                unearned = [] if sure else [k for k in order if not stand.is_worth(doubtful[k])]
-                if not (useless := far_less or unearned) or (self.reserve and not sure):
+                if sure:
+                    useless = [k for k in far_less if not stand.is_promise(k)]
+                else:
+                    useless = far_less or [k for k in order if not stand.is_worth(doubtful[k])]
+                if not useless or (self.reserve and not sure):
                     break
                 self.stands[-1] = self._seen_in(joint.left_out(stand.library, useless[0]))
                 dropped.add(useless[0])
