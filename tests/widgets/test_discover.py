@@ -148,7 +148,7 @@ def test_a_check_considers_the_suspects_of_the_look(panel, qtbot, monkeypatch):
 def test_a_check_is_of_another_movie_and_goes_with_its_report(panel):
     layer = session_of(panel.viewer).movie_layer
     panel._examined = {"measurement": session_of(panel.viewer).measurement(), "layer": weakref.ref(layer)}
-    held = {"against": "B", "both": [], "only_here": [], "only_there": [], "parameters": [],
+    held = {"against": "B", "shared": 1.0, "both": [], "only_here": [], "only_there": [], "parameters": [],
             "error": {"before": 4.2, "carried": 1.1, "after": 1.0, "floor": 0.9}}  # fmt: skip
     panel.show_report(dataclasses.replace(example.report(), check=held))
     assert "Checked on B" in panel.check.outcome.toPlainText()
