@@ -32,7 +32,6 @@ from napari_mufasa.errors import MufasaError
 CameraType = Literal["CCD", "EMCCD", "CMOS"]
 LEAST_UNSATURATED = 0.02  # share of the pixels that must be free of saturation for the others to be left out
 WIDE_PX = 32  # frames from which on the first columns can be spared
-_REGISTER = {"EMCCD": "that multiplies", "CCD": "without a register"}
 DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
 
 
@@ -102,8 +101,8 @@ def calibrate(
     found = taken_for("EMCCD")
     kind, untold = kind_of(found, electrons_per_adu)
     found = found if kind == "EMCCD" else taken_for(kind)
+    told = untold or f"as its counts tell, {kind} is taken"
     alike = "" if kind == "EMCCD" else " (a CMOS counts alike: give its type if it is one)"
-    told = untold or f"its counts are those of a camera {_REGISTER[kind]}: {kind} is taken"
     return replace(found, notes=[*found.notes, told + alike], type_untold=untold)
 
 
