@@ -8,12 +8,15 @@ import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.discover.read_off import averaged, background_beyond, in_scale_of, read_off, relief_beyond
-from napari_mufasa.effects.illumination import IlluminationProfile
+from napari_mufasa.effects.camera import BaselineDrift
+from napari_mufasa.effects.illumination import IlluminationProfile, LaserDrift
 from napari_mufasa.effects.motion import StageDrift
-from napari_mufasa.effects.optics import Astigmatism, BackgroundGradient
+from napari_mufasa.effects.optics import Astigmatism, BackgroundDecay, BackgroundGradient
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
+from napari_mufasa.observe.field import map_at
 from napari_mufasa.observe.summary import (
     HIGHEST,
+    Background,
     Part,
     _gap_lengths,
     _level_positions,
@@ -21,6 +24,7 @@ from napari_mufasa.observe.summary import (
     mean_shape,
     molecules,
     trace_kinetics,
+    well_seen,
 )
 from napari_mufasa.observe.table import Table
 from napari_mufasa.simulate.movie import SimulatedAcquisition
@@ -133,10 +137,55 @@ def test_the_tilt_of_brightness_is_not_ruled_by_pairs_that_pass_for_one_spot():
         level = 0.04 * rng.standard_normal(60) + 0.1 * (at[:, 1] - 31.5) / 32
         level[:9] += np.log(2)
         table = Table()
-        _level_positions(table, SimpleNamespace(on_level=np.exp(level)), at, (64, 64))
+        _level_positions(table, SimpleNamespace(on_level=np.exp(level)), at, (64, 64), np.zeros(60))
         tilts.append([table.values["level_position_tilt_y"], table.values["level_position_tilt_x"]])
     assert np.std(tilts, axis=0).max() < 0.056 / 2
     np.testing.assert_allclose(np.mean(tilts, axis=0), [0.0, 0.1], atol=0.02)  # drawn in, as simulated ones are
+
+
+@pytest.mark.parametrize("form", ["linear", "gaussian"])
+def test_uneven_light_is_on_spots_and_background_alike(form):
+    """Where the background is brighter by a spread, spots are by the same share; in haze they are as elsewhere."""
+    model = standing_apart().with_values({"optics.background_photons_per_px": 20})
+    light = IlluminationProfile(form=form, edge_dimming=0.5)
+    haze = BackgroundGradient(form="hump" if form == "gaussian" else "linear", relative_height=0.5)
+
+    def seen(effect):
+        found = [observe(nm.simulate(model.with_effects(effect), seed=seed).movie, model) for seed in range(6)]
+        along = [each.values[0, each.names.index("level_position_background")] for each in found]
+        counted = [each.spots.positions_px[well_seen(each.spots, each.states)] for each in found]
+        around = [map_at(each.background_map, places) for each, places in zip(found, counted, strict=True)]
+        spread = [places.std() / places.mean() for places in around]
+        return np.mean(along), np.std(along) / np.sqrt(len(along)), np.mean(spread)
+
+    along, uncertain, spread = seen(light)
+    assert along == pytest.approx(spread, abs=4 * uncertain) and spread > 0.05
+    assert along > 10 * uncertain
+    along, uncertain, spread = seen(haze)
+    assert along == pytest.approx(0, abs=4 * uncertain) and spread > 0.05
+
+
+def seen_of(model, effect, names, movies=4):
+    """Means of some observables of movies with an effect."""
+    found = [observe(nm.simulate(model.with_effects(effect), seed=seed).movie, model) for seed in range(movies)]
+    return np.mean([[each.values[0, each.names.index(name)] for name in names] for each in found], axis=0)
+
+
+@pytest.mark.parametrize("form", ["linear", "step"])
+def test_a_lasers_power_is_on_spots_and_background_and_a_drift_of_the_background_is_not(form):
+    """A course that moves by a third has a spread of a third of √(1/12) if steadily, of ½ with a step at half, over its
+    mean; noise is as the square root of light. 120 frames × 40 molecules of 0.3 relative noise tell spots to 0.005.
+    What moves with the background alone is on no spot, and a converter's offset brings no noise."""
+    model = standing_apart().with_values({"optics.background_photons_per_px": 20})
+    names = ("level_time_background", "background_time_noise")
+    spread = {"linear": 1 / 3 / 12**0.5, "step": 1 / 6}[form] / (1 + 1 / 6)
+    laser, noise = seen_of(model, LaserDrift(form=form, change=1 / 3, step_at=0.5), names)
+    np.testing.assert_allclose([laser, noise], [spread, spread / 2], rtol=0.1)
+    background, noise = seen_of(model, BackgroundDecay(form="linear", fraction=1 / 3), names)
+    assert background == pytest.approx(0, abs=0.015)
+    assert noise == pytest.approx(1 / 3 / 12**0.5 / (1 - 1 / 6) / 2, rel=0.1)
+    offset, still = seen_of(model, BaselineDrift(form=form, drift_adu=100.0), names)
+    np.testing.assert_allclose([offset, still], 0.0, atol=0.015)
 
 
 def test_the_mean_shape_is_not_ruled_by_pairs_that_pass_for_one_spot():
@@ -158,10 +207,11 @@ def test_own_displacement_is_not_ruled_by_a_spot_that_jumps_to_a_neighbour():
     jumped = found.spots.displacement_px.copy()
     jumped[:2, 5:] += 2.5
     other, states = replace(found.spots, displacement_px=jumped), found.states
+    dark = Background(found.course, found.background_map, np.zeros(len(jumped)))
     own = []
     for spots in (found.spots, other):
         table = Table()
-        molecules(table, spots, states, Part((1, 2), np.ones(len(jumped), bool)), (96, 96))
+        molecules(table, spots, states, Part((1, 2), np.ones(len(jumped), bool)), (96, 96), dark)
         own.append(np.exp(table.values["individual_shift_half"]))
     assert own[1] < 1.3 * own[0]  # the mean over all rises by 2 · 6.25 · 2 / 40 = 0.6 px², from 0.2
 

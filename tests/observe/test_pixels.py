@@ -59,6 +59,8 @@ def test_sums_and_digits_by_part(movie, label):
         inside = np.where(label == part, data, 0)
         np.testing.assert_allclose(found.row_sum[part], inside.sum(axis=2))
         np.testing.assert_allclose(found.column_sum[part], inside.sum(axis=1))
+        apart = np.abs(np.diff(data, axis=0, prepend=data[:1]))
+        np.testing.assert_allclose(found.steps[part], np.where(label == part, apart, 0).sum(axis=(1, 2)))
         counts = np.bincount(movie[:, label == part].ravel() % COMB, minlength=COMB)
         np.testing.assert_array_equal(found.comb[part], counts)
 

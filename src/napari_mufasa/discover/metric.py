@@ -23,6 +23,7 @@ FLOORS = {
     "steps_brighter_bleach": 0.05, "left_after": 0.015,
     "narrow_bright": 0.6, "dark_narrow_bright": 0.6, "single_frame_outliers": 0.6, "repeated": 0.004,
     "dark_single_frame_outliers": 0.6, "common_shift": 0.03, "common_shift_jitter": 0.25, "background_time": 0.0004,
+    "background_time_noise": 0.001,
     "dark_mean": 0.02,
     "common_mode_alternate": 0.0003, "pixel_lag": 0.0008, "neighbour": 0.0008, "dark_trend": 0.02, "dark_tail": 0.01,
     "photon_transfer": 0.003, "background_variance": 0.003, "background_skewness": 0.004, "level": 0.008,

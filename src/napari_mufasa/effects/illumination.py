@@ -87,7 +87,7 @@ class LaserDrift(Effect):
     what_it_is = "The power at the sample changes slowly during the movie."
     what_it_does = "Spots and background rise or fall together."
     how_to_check = "Log the power with a photodiode."
-    observables = ("level_trend", "background_time")
+    observables = ("level_trend", "level_time", "background_time")
     rivals = ("background_decay", "baseline_drift", "focus_drift", "periodic_modulation")
     separated_by = "a photodiode trace; dark frames; spot level against background"
 

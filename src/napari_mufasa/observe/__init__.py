@@ -125,26 +125,21 @@ def observe(movie: NDArray[Any], model: Model, dark: NDArray[Any] | DarkView | N
     side = tiles[at[:, 0], at[:, 1]]
     if dark is not None and not isinstance(dark, DarkView):
         dark = view_dark(dark, model)
-    tables = []
+    tables, backgrounds = [], []
     for i, labels in enumerate(PART_LABELS):
         table = Table()
         part = Part(labels, np.isin(side, labels))
-        summary.molecules(table, spots, states, part, movie.shape[1:])
-        field.background(table, pixels, spots, label, tiles, part, scale)
+        seen = field.seen_background(pixels, label, part, scale, spots.positions_px)
+        summary.molecules(table, spots, states, part, movie.shape[1:], seen)
+        field.background(table, pixels, spots, label, tiles, part, scale, seen)
         if dark is not None:
             table.include(dark.tables[i])
         tables.append(table)
+        backgrounds.append(seen)
     names = tuple(tables[0].values)
     values = np.array([list(t.values.values()) for t in tables])
-    masks = [np.isin(label, labels) for labels in PART_LABELS]
-    courses = [
-        pixels.row_sum[list(labels)].sum(axis=(0, 2)) * scale / max(int(mask.sum()), 1)
-        for labels, mask in zip(PART_LABELS, masks, strict=True)
-    ]
-    maps = [field.tile_means(pixels.mean * scale, mask) for mask in masks]
-    return Observation(
-        values, names, tables[0].meanings, spots, states, side.astype(np.int8), np.array(courses), np.array(maps)
-    )
+    courses, maps = (np.array([getattr(seen, each) for seen in backgrounds]) for each in ("course", "tiles"))
+    return Observation(values, names, tables[0].meanings, spots, states, side.astype(np.int8), courses, maps)
 
 
 def photoelectrons_per_adu(model: Model) -> float:

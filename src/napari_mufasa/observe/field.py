@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_mufasa.observe.pixels import PixelStatistics
-from napari_mufasa.observe.summary import BINS, Part
+from napari_mufasa.observe.summary import BINS, Background, Part, along
 from napari_mufasa.observe.table import COMB, Table
 from napari_mufasa.spots.follow import Spots
 from napari_mufasa.spots.quantiles import quantiles
@@ -29,13 +29,12 @@ def background(
     tiles: NDArray[np.int8],
     part: Part,
     scale: float,
+    seen: Background,
 ) -> None:
     """Observables of pixels away from spots; `scale` is photoelectrons per ADU."""
     mask = part.holds(label)
     at = np.flatnonzero(mask)
-    area = max(at.size, 1)
-    rows = pixels.row_sum[list(part.labels)].sum(axis=0) * scale  # (frame, y)
-    course = rows.sum(axis=1) / area
+    course = seen.course
     mean = pixels.mean * scale
     variance = pixels.step_variance.sum(axis=0) / 2 * scale**2
     table.add("background", course.mean(), "background", "e⁻", "background pixels")
@@ -51,7 +50,8 @@ def background(
         "background pixels",
     )
     _courses(table, course, spots, part)
-    _map(table, mean, mask)
+    _noise_course(table, course, pixels.steps[list(part.labels)].sum(axis=0))
+    _map(table, seen.tiles, mean.shape)
     _transfer(table, mean, variance, at, (label == 0) & part.holds(tiles))
     spread = _over(pixels.variance, at) or np.nan  # a small field may have no background pixel
     table.add(
@@ -225,6 +225,14 @@ def _courses(table: Table, course: Array, spots: Spots, part: Part) -> None:
     )
 
 
+def _noise_course(table: Table, course: Array, steps: Array) -> None:
+    """How much noise is in pixels when they are bright: light brings its own, a converter's offset none. Noise is how
+    far pixels are from the frame before; a few that are hit do not rule that."""
+    noise, between = np.log(np.maximum(steps[1:], 1e-9)), (course[1:] + course[:-1]) / 2
+    title = "noise when the background is a spread higher"
+    table.add("background_time_noise", along(noise, between), title, "ln", "background over time")
+
+
 def _lag(values: Array) -> float:
     power = float((values**2).sum())
     return float((values[1:] * values[:-1]).sum()) / power if power > 0 else 0.0
@@ -241,10 +249,33 @@ def tile_means(mean: Array, mask: NDArray[np.bool_]) -> Array:
     return np.where(count >= TILE, tiled(np.where(mask, mean, 0.0)) / np.maximum(count, 1), np.nan)
 
 
-def _map(table: Table, mean: Array, mask: NDArray[np.bool_]) -> None:
+def seen_background(
+    pixels: PixelStatistics, label: NDArray[np.int8], part: Part, scale: float, positions_px: Array
+) -> Background:
+    """Course and map of the labelled pixels of a part, and the map at positions (spot, 2)."""
+    mask = part.holds(label)
+    course = pixels.row_sum[list(part.labels)].sum(axis=(0, 2)) * scale / max(int(mask.sum()), 1)
+    tiles = tile_means(pixels.mean * scale, mask)
+    return Background(course, tiles, map_at(tiles, positions_px))
+
+
+def map_at(tiles: Array, positions_px: Array) -> Array:
+    """(place,) a map of tiles, NaN where it shows nothing, at places (place, 2) as pixels y, x: between the tiles,
+    each blurred with its neighbours by a Gaussian of one tile."""
+    seen = np.isfinite(tiles)
+    weight, sums = (
+        ndimage.gaussian_filter(each, 1.0, mode="constant") for each in (seen * 1.0, np.where(seen, tiles, 0.0))
+    )
+    usual = float(tiles[seen].mean()) if seen.any() else 0.0
+    blurred = np.where(weight > 1e-3, sums / np.maximum(weight, 1e-3), usual)
+    at = (positions_px + 0.5) / TILE - 0.5
+    result: Array = ndimage.map_coordinates(blurred, at.T, order=1, mode="nearest")
+    return result
+
+
+def _map(table: Table, tiles: Array, shape_px: tuple[int, ...]) -> None:
     """Tilt, bow and unevenness of the background, from its tiles, relative to its mean."""
-    height, width = mean.shape
-    tiles = tile_means(mean, mask)
+    height, width = shape_px
     ok = np.isfinite(tiles)
     values = tiles[ok]
     r2 = sy = sx = rest = 0.0

@@ -117,10 +117,11 @@ def ranked(now, t, best):  # type: ignore[no-untyped-def]
 
 @vectorised
 def in_space(movie, baseline, label, parts):  # type: ignore[no-untyped-def]
-    """Frame by frame: sums over rows and columns of each part, and its digits. Sums of counts are whole numbers; 65 537
-    pixels in a line are the most that they hold."""
+    """Frame by frame: sums over rows and columns of each part, how far its pixels are from the frame before, and its
+    digits. Sums of counts are whole numbers; 65 537 pixels in a line are the most that they hold."""
     n, height, width = movie.shape
     rows, columns = np.zeros((parts + 1, n, height)), np.zeros((parts + 1, n, width))
+    steps = np.zeros((parts + 1, n))
     of_rows, of_columns = np.zeros((parts + 1, height)), np.zeros((parts + 1, width))
     mine, bins = np.zeros((parts + 1, height, width), np.uint32), np.empty((height, width), np.uint64)
     for y in range(height):
@@ -135,26 +136,31 @@ def in_space(movie, baseline, label, parts):  # type: ignore[no-untyped-def]
     for t in range(n):
         down[:] = 0
         for y in range(height):
-            counts, place = movie[t, y], bins[y]
+            counts, before, place = movie[t, y], movie[max(t - 1, 0), y], bins[y]
             for part in range(parts + 1):
-                rows[part, t, y] = add_line(counts, mine[part, y], down[part]) - of_rows[part, y]
+                total, apart = add_line(counts, before, mine[part, y], down[part])
+                rows[part, t, y] = total - of_rows[part, y]
+                steps[part, t] += apart
             for x in range(width):
                 comb[place[x] + np.uint64(counts[x] % COMB)] += 1
         for part in range(parts + 1):
             for x in range(width):
                 columns[part, t, x] = down[part, x] - of_columns[part, x]
-    return rows, columns, comb.reshape(4, parts + 1, COMB).sum(axis=0)
+    return rows, columns, steps, comb.reshape(4, parts + 1, COMB).sum(axis=0)
 
 
 @inlined
-def add_line(counts, mine, down):  # type: ignore[no-untyped-def]
-    """Add the counts of a line under a mask of bits to the sums of columns; their own sum."""
-    total = np.uint32(0)
+def add_line(counts, before, mine, down):  # type: ignore[no-untyped-def]
+    """Add the counts of a line under a mask of bits to the sums of columns; their own sum, and that of how far they are
+    from the counts before."""
+    total, apart = np.uint32(0), np.uint32(0)
     for x in range(counts.size):
-        v = np.uint32(np.uint32(counts[x]) & mine[x])
+        now, then = np.uint32(counts[x]), np.uint32(before[x])
+        v = np.uint32(now & mine[x])
         down[x] = np.uint32(down[x] + v)
         total = np.uint32(total + v)
-    return total
+        apart = np.uint32(apart + np.uint32(np.uint32(max(now, then) - min(now, then)) & mine[x]))
+    return total, apart
 
 
 @vectorised

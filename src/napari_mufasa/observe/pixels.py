@@ -23,6 +23,7 @@ class PixelStatistics:
     lag1, lag2 : autocovariance over frames
     right, below (y − 1, x − 1) : covariance with the next pixel along x and y
     row_sum (part, frame, y), column_sum (part, frame, x) : sums over the labelled pixels
+    steps (part, frame) : sum over them of how far each is from where it was in the frame before
     comb (part, `COMB`) : how often counts have each remainder
     peak, peak_frame : largest value and where in time; second : the next largest, anywhere else in time
     """
@@ -38,6 +39,7 @@ class PixelStatistics:
     below: Array
     row_sum: Array
     column_sum: Array
+    steps: Array
     comb: NDArray[np.int64]
     peak: Array
     peak_frame: NDArray[np.int64]
@@ -53,7 +55,7 @@ def pixel_statistics(
 
     sums, (peak, peak_frame, second) = in_time(movie, float(baseline_adu))
     (s1, s2, s3, l1, l2), step, (right, below) = sums[:5], sums[5:7], sums[7:]
-    rows, columns, comb = in_space(movie, float(baseline_adu), np.ascontiguousarray(label), parts)
+    rows, columns, steps, comb = in_space(movie, float(baseline_adu), np.ascontiguousarray(label), parts)
     mean = s1 / n
     variance = s2 / n - mean**2
     spread = np.maximum(variance, 1e-9)
@@ -70,6 +72,7 @@ def pixel_statistics(
         below=_inner(below, n) - mean[:-1, :-1] * mean[1:, :-1],
         row_sum=rows,
         column_sum=columns,
+        steps=steps,
         comb=comb,
         peak=peak,
         peak_frame=peak_frame.astype(np.int64),

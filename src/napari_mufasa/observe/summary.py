@@ -41,6 +41,19 @@ class Part:
         return np.asarray(np.logical_or.reduce([label == mine for mine in self.labels]))
 
 
+@dataclass(frozen=True)
+class Background:
+    """The background of a part of the field, photoelectrons.
+
+    course (frame,) · tiles (tile_y, tile_x) : its map, NaN under spots and outside the part · around (spot,) : where
+    each spot is
+    """
+
+    course: Array
+    tiles: Array
+    around: Array
+
+
 def telling(states: Dynamics) -> NDArray[np.bool_]:
     """(trace,) the traces that are on at a level beyond doubt."""
     return np.asarray((states.first >= 0) & (states.snr > LEAST_SNR))
@@ -58,14 +71,17 @@ def fluctuation(light: Array, states: Dynamics) -> tuple[Array, NDArray[np.bool_
     return light / states.on_level[:, None] - 1, span
 
 
-def molecules(table: Table, spots: Spots, states: Dynamics, part: Part, shape_px: tuple[int, int]) -> None:
+def molecules(
+    table: Table, spots: Spots, states: Dynamics, part: Part, shape_px: tuple[int, int], background: Background
+) -> None:
     """Observables of the molecules of a part; `states` are those of all spots."""
     table.count("spots", float((part.molecules & spots.inside).sum()), "number of spots", "whole movie")
     keep = part.molecules & well_seen(spots, states)
     light, states = spots.light[keep], states.of(keep)
     trace_levels(table, states)
-    _level_positions(table, states, spots.positions_px[keep], shape_px)
+    _level_positions(table, states, spots.positions_px[keep], shape_px, background.around[keep])
     trace_kinetics(table, light, states)
+    _level_course(table, light, states, background.course)
     _shape_and_motion(table, spots, keep)
 
 
@@ -108,15 +124,20 @@ def trace_levels(table: Table, states: Dynamics) -> None:
     table.add("level_quantile_high", brightest - middle, "bright spots against the middle", "ln", where)
 
 
-def _level_positions(table: Table, states: Dynamics, positions: Array, shape_px: tuple[int, int]) -> None:
-    """How bright molecules are where."""
+def _level_positions(
+    table: Table, states: Dynamics, positions: Array, shape_px: tuple[int, int], background: Array
+) -> None:
+    """How bright molecules are where, and where the background is bright: uneven light is on both, haze is not."""
     half = max(shape_px) / 2
     v = (positions[:, 0] - (shape_px[0] - 1) / 2) / half
     u = (positions[:, 1] - (shape_px[1] - 1) / 2) / half
-    r2, y, x = _slopes(_drawn_in(np.log(states.on_level)), v, u)
+    level = _drawn_in(np.log(states.on_level))
+    r2, y, x = _slopes(level, v, u)
     table.add("level_position_radial", r2, "brightness against distance from the centre", "ln", "spots")
     table.add("level_position_tilt_y", y, "brightness tilt along y", "ln", "spots")
     table.add("level_position_tilt_x", x, "brightness tilt along x", "ln", "spots")
+    title = "brightness where the background is a spread higher"
+    table.add("level_position_background", along(level, background), title, "ln", "spots")
 
 
 def _drawn_in(values: Array) -> Array:
@@ -127,6 +148,30 @@ def _drawn_in(values: Array) -> Array:
     apart = values - np.median(values)
     reach = 3 * np.median(np.abs(apart))
     return np.clip(apart, -reach, reach)
+
+
+def _level_course(table: Table, light: Array, states: Dynamics, course: Array) -> None:
+    """How bright molecules are when the background is bright, each against itself: a laser's power is on both, what
+    drifts or fades in the background alone is not."""
+    on = states.lit
+
+    def apart(values: Array) -> Array:
+        """From a molecule's mean while it is on; 0 while it is not."""
+        mean = np.where(on, values, 0.0).sum(axis=1) / np.maximum(on.sum(axis=1), 1)
+        return np.where(on, values - mean[:, None], 0.0)
+
+    level, beside = apart(light / states.on_level[:, None]), apart(np.broadcast_to(course, on.shape))
+    slope = float((level * beside).sum()) / max(float((beside**2).sum()), 1e-12)
+    title = "brightness when the background is a spread higher"
+    table.add("level_time_background", slope * float(course.std()), title, "rel.", "frames in which molecules are on")
+
+
+def along(values: Array, course: Array) -> float:
+    """By how much values are higher where another course is one of its spreads higher; 0 for few."""
+    if len(values) < 6:
+        return 0.0
+    apart = course - course.mean()
+    return float((values * apart).mean() / max(apart.std(), 1e-9))
 
 
 def _slopes(values: Array, v: Array, u: Array) -> tuple[float, float, float]:
