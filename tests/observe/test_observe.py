@@ -12,6 +12,7 @@ from napari_mufasa.effects.camera import BaselineDrift
 from napari_mufasa.effects.illumination import IlluminationProfile, LaserDrift
 from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundDecay, BackgroundGradient
+from napari_mufasa.effects.photophysics import BrightnessHeterogeneity, MultipleEmitters
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
 from napari_mufasa.observe.field import map_at
 from napari_mufasa.observe.summary import (
@@ -186,6 +187,15 @@ def test_a_lasers_power_is_on_spots_and_background_and_a_drift_of_the_background
     assert noise == pytest.approx(1 / 3 / 12**0.5 / (1 - 1 / 6) / 2, rel=0.1)
     offset, still = seen_of(model, BaselineDrift(form=form, drift_adu=100.0), names)
     np.testing.assert_allclose([offset, still], 0.0, atol=0.015)
+
+
+def test_spots_of_several_emitters_are_brighter_and_show_more_levels_and_unequal_ones_do_not():
+    """Where molecules bleach, one after the other in a spot of two; of unequal ones the dim show more noise instead."""
+    model = standing_apart(200).with_values({"fluorophore.cycles_before_bleaching": 3e4})
+    names = ("steps_between_brighter",)
+    (several,) = seen_of(model, MultipleEmitters(form="dimers", fraction=0.5), names)
+    (unequal,) = seen_of(model, BrightnessHeterogeneity(form="two_levels", spread=0.4), names)
+    assert unequal < -0.4 and several > 0
 
 
 def test_the_mean_shape_is_not_ruled_by_pairs_that_pass_for_one_spot():

@@ -258,13 +258,12 @@ def trace_kinetics(table: Table, light: Array, states: Dynamics) -> None:
     smooth = ndimage.uniform_filter1d(light, 9, axis=1, mode="nearest")
     top = np.maximum(_running_top(smooth), 1e-6)
     share = smooth / top
-    table.add(
-        "steps_between",
-        _mean(((share > 0.3) & (share < 0.75)).astype(float)),
-        "time at levels between dark and top",
-        "",
-        "traces",
-    )
+    between = ((share > 0.3) & (share < 0.75)).mean(axis=1)
+    table.add("steps_between", _mean(between), "time at levels between dark and top", "", "traces")
+    # Spots of several emitters are brighter and show more levels; dim ones only have more noise there.
+    level = _drawn_in(np.log(states.on_level))
+    together = along(level / max(level.std(), 1e-9), between) if n else 0.0
+    table.add("steps_between_brighter", together, "brightness against time at such levels", "corr.", "traces")
     ends = last < 1 - 3 * edge / frames
     before_end = (t > states.last[:, None] - 21) & (t <= states.last[:, None] - 3)
     last_level = (light * before_end).sum(axis=1) / np.maximum(before_end.sum(axis=1), 1) / top[:, 0]
