@@ -26,6 +26,7 @@ Reader = Callable[[Observation], dict[str, Any]]
 VALUES, FEWEST = 60, 5  # most values of a course, and frames for each: a walk is a walk, not flicker
 SLOW = 0.36  # mean square of a course's steps over its variance: of random walks 97 % have less, of 1/f noise 1.5 %
 LEAST_WEIGHT = 1e-6  # of known tiles under the smoothing window; less: too far from all of them
+TELLS_WALK = 20  # frames over which white noise passes for a walk in 2 of 100 dark series, fewer where there are more
 SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴; and
 # a map's over that which a model's own random patterns give it
 FEWEST_TILES = 12  # of the background's map that tell a relief
@@ -364,14 +365,15 @@ def long_axis(observation: Observation) -> dict[str, float]:
 
 
 def stands_still(dark: NDArray[Any]) -> bool:
-    """Do dark frames (frame, y, x) show no drift, the last third beside the first? How their means scatter is told by
-    frames two apart: a baseline may alternate."""
+    """Do dark frames (frame, y, x) show no drift, the last third beside the first, and no walk? How their means scatter
+    is told by frames two apart: a baseline may alternate."""
     course = dark.mean(axis=(1, 2), dtype=np.float64)
-    third = len(course) // 3
+    third = len(course) // 6 * 2  # a baseline that alternates does so an even number of times
     if third < 2:
         return False
     drift = course[-third:].mean() - course[:third].mean()
-    return bool(abs(drift) < OFF * (course[2:] - course[:-2]).std() / np.sqrt(third))
+    steady = abs(drift) < OFF * (course[2:] - course[:-2]).std() / np.sqrt(third)
+    return bool(steady and (third < TELLS_WALK or walk_of(course, third) is None))
 
 
 def dark_course(dark: NDArray[Any]) -> tuple[float, ...]:
