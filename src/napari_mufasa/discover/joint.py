@@ -144,7 +144,7 @@ def _closer(library: Library, here: State, x: Array) -> State | None:
             break
         step = share * moves
         there = _seen(library, here, here.model_at(step))
-        if _unmoved(there, x) < NEARER * _unmoved(here, x):
+        if unmoved(there, x) < NEARER * unmoved(here, x):
             direction = step / here.prior**2 / np.sum((step / here.prior) ** 2)
             surplus = there.mean - here.mean - here.slopes @ step
             return replace(there, slopes=here.slopes + surplus[..., None] * direction)
@@ -153,12 +153,12 @@ def _closer(library: Library, here: State, x: Array) -> State | None:
 
 def _promises(here: State, x: Array, share: float = 1.0) -> bool:
     """Do the slopes promise that a share of the step downhill is worth its simulations?"""
-    return (_unmoved(here, x) - here.misfit(x)) * share * (2 - share) > PROMISED
+    return (unmoved(here, x) - here.misfit(x)) * share * (2 - share) > PROMISED
 
 
 def _leads_far(here: State, x: Array) -> bool:
     """Do the slopes promise that the way downhill is worth derivatives of its own?"""
-    return here.misfit(x) < DEEPER * _unmoved(here, x)
+    return here.misfit(x) < DEEPER * unmoved(here, x)
 
 
 def removed(library: Library, *kinds: str) -> State:
@@ -172,6 +172,15 @@ def removed(library: Library, *kinds: str) -> State:
     return library.without[kinds]
 
 
+def shown_without(library: Library, kind: str, x: Array) -> float:
+    """The misfit that a few simulations show without an effect, where slopes say that the others come to."""
+    if kind not in library.shown:
+        state = removed(library, kind)
+        there = _seen(library, state, state.model_at(state.adjusted(x).moves))
+        library.shown[kind] = unmoved(there, x)
+    return library.shown[kind]
+
+
 def left_out(library: Library, kind: str) -> Library:
     """The neighbourhood as it is, without an effect that does next to nothing there, neither beside the others nor
     without one of them: only the mean is simulated."""
@@ -183,7 +192,7 @@ def left_out(library: Library, kind: str) -> Library:
         for others, state in library.without.items()
         if kind not in others
     }
-    return replace(library, base=base, rows=library.rows + shift, without=without, formed={})
+    return replace(library, base=base, rows=library.rows + shift, without=without, shown={}, formed={})
 
 
 def _without(state: State, kinds: Sequence[str]) -> State:
@@ -207,6 +216,6 @@ def _seen(library: Library, state: State, model: Model, seeds: range = range(TRI
     return replace(state, model=model, mean=library.base.mean + shift, check=rows)
 
 
-def _unmoved(state: State, x: Array) -> float:
+def unmoved(state: State, x: Array) -> float:
     """The misfit of the model as it is."""
     return replace(state, slopes=np.zeros_like(state.slopes)).misfit(x)

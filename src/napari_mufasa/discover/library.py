@@ -35,7 +35,8 @@ PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of th
 class Library:
     """The base state, its paired simulations (simulation, part, observable) and rays.
 
-    without : what is known of the base state without some of its effects · formed : and with one in another form ·
+    without : what is known of the base state without some of its effects · shown : the misfit that simulations show
+    without one, where slopes say that the others come to · formed : and with one in another form ·
     earlier : kinds of effects whose rays are those beside an earlier base state, until a look has renewed some
     """
 
@@ -44,6 +45,7 @@ class Library:
     rows: Array
     rays: dict[str, list[Ray]]
     without: dict[tuple[str, ...], State] = field(default_factory=dict)
+    shown: dict[str, float] = field(default_factory=dict)
     formed: dict[str, State | None] = field(default_factory=dict)
     earlier: frozenset[str] = frozenset()
 

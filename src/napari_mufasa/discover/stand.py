@@ -26,7 +26,6 @@ from napari_mufasa.discover.rules import (
     FORM_WORTH,
     FURTHER,
     KNOWN,
-    LINEAR,
     MISFIT_ALARM,
     NOT_RISEN,
     RIVAL,
@@ -270,11 +269,10 @@ class Stand:
         return self.error < worth.error_without * (NOT_RISEN if sure else 1.0)
 
     def is_promise(self, kind: str) -> bool:
-        """Do the others make up for an added effect only by values farther away than a model is about linear in? That
-        is what slopes promise, and no simulation has shown."""
-        state = self.without(kind)
-        moves = state.adjusted(self.x).moves[len(state.values) :]
-        return bool(np.any(np.abs(moves) > LINEAR))
+        """Is it slopes alone that let the others make up for an added effect? Simulations of where these come to then
+        show more misfit than the model has as it is, by more than the effect needs to be worth."""
+        more = joint.shown_without(self.library, kind, self.x) - joint.unmoved(self.state, self.x)
+        return more > self.worths[kind].needed
 
     def may_stand_in(self, kind: str) -> bool:
         """Is an effect worth so little of another that it may make up for where the values of that one have come to:

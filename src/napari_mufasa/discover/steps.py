@@ -112,10 +112,9 @@ class Steps(Standing):
     def prune(self, sure: bool = False) -> set[str]:
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
         worth what one needs, then one by one; what only a whole fit without them can tell is told by one. Where only
-        what is `sure` shall go, what is worth far less goes, the least first, all else where it is, but for what others
-        make up for only by values that slopes put far away; where the budget affords no fit, so does then what has not
-        earned its place (not at the end of a way while some of the budget is kept for another). Returns the kinds taken
-        out."""
+        what is `sure` shall go, what is worth far less goes, the least first, if a few simulations show that the others
+        make up for it; where the budget affords no fit, so does then what has not earned its place (not at the end of a
+        way while some of the budget is kept for another). Returns the kinds taken out."""
         dropped: set[str] = set()
         at_once = True
         while self.chosen:
@@ -133,14 +132,14 @@ class Steps(Standing):
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
             far_less = [k for k in order if doubtful[k].evidence < FAR_LESS * doubtful[k].needed]
             if sure or not self.affords(0):
-                if sure:
-                    useless = [k for k in far_less if not stand.is_promise(k)]
-                else:
-                    useless = far_less or [k for k in order if not stand.is_worth(doubtful[k])]
-                if not useless or (self.reserve and not sure):
+                if self.reserve and not sure:
                     break
-                self.stands[-1] = self._seen_in(joint.left_out(stand.library, useless[0]))
-                dropped.add(useless[0])
+                little = far_less if sure or far_less else [k for k in order if not stand.is_worth(doubtful[k])]
+                useless = next((k for k in little if not stand.is_promise(k)), None)
+                if useless is None:
+                    break
+                self.stands[-1] = self._seen_in(joint.left_out(stand.library, useless))
+                dropped.add(useless)
                 continue
             kinds = far_less if at_once and 0 < len(far_less) < len(stand.added) else order[:1]
             worth, lesser = self._lesser(kinds, max(doubtful[k].needed for k in kinds))
