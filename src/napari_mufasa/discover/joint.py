@@ -19,6 +19,7 @@ from napari_mufasa.discover.coordinates import is_next_to_none
 from napari_mufasa.discover.derivatives import derivatives, free_steps
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.rules import (
+    CHECK_SIMULATIONS,
     DEEPER,
     DESCENTS,
     LINEAR,
@@ -144,7 +145,7 @@ def _closer(library: Library, here: State, x: Array) -> State | None:
             break
         step = share * moves
         there = _seen(library, here, here.model_at(step))
-        if unmoved(there, x) < NEARER * unmoved(here, x):
+        if _unmoved(there, x) < NEARER * _unmoved(here, x):
             direction = step / here.prior**2 / np.sum((step / here.prior) ** 2)
             surplus = there.mean - here.mean - here.slopes @ step
             return replace(there, slopes=here.slopes + surplus[..., None] * direction)
@@ -153,12 +154,12 @@ def _closer(library: Library, here: State, x: Array) -> State | None:
 
 def _promises(here: State, x: Array, share: float = 1.0) -> bool:
     """Do the slopes promise that a share of the step downhill is worth its simulations?"""
-    return (unmoved(here, x) - here.misfit(x)) * share * (2 - share) > PROMISED
+    return (_unmoved(here, x) - here.misfit(x)) * share * (2 - share) > PROMISED
 
 
 def _leads_far(here: State, x: Array) -> bool:
     """Do the slopes promise that the way downhill is worth derivatives of its own?"""
-    return here.misfit(x) < DEEPER * unmoved(here, x)
+    return here.misfit(x) < DEEPER * _unmoved(here, x)
 
 
 def removed(library: Library, *kinds: str) -> State:
@@ -172,12 +173,17 @@ def removed(library: Library, *kinds: str) -> State:
     return library.without[kinds]
 
 
-def shown_without(library: Library, kind: str, x: Array) -> float:
-    """The misfit that a few simulations show without an effect, where slopes say that the others come to."""
+def shown_worth(library: Library, kind: str, x: Array) -> float:
+    """By how much likelier (−2 log likelihood) the measurement x is with an effect than without it, the others where
+    slopes say that they come to: each model seen by the same few simulations, in the spread that they show. Molecules
+    that bleach make a movie unlike the next; what the others leave without that is much in their own spread only."""
     if kind not in library.shown:
-        state = removed(library, kind)
-        there = _seen(library, state, state.model_at(state.adjusted(x).moves))
-        library.shown[kind] = unmoved(there, x)
+        bare = removed(library, kind)
+        model = bare.model_at(bare.adjusted(x).moves)
+        rows = library.simulated([(model, k) for k in range(CHECK_SIMULATIONS)])
+        states = (library.base, library.rows[:CHECK_SIMULATIONS]), (bare, rows)
+        kept, without = (_as_it_is(neighbourhood.with_noise_of(*seen)).score(x) for seen in states)
+        library.shown[kind] = without - kept
     return library.shown[kind]
 
 
@@ -216,6 +222,11 @@ def _seen(library: Library, state: State, model: Model, seeds: range = range(TRI
     return replace(state, model=model, mean=library.base.mean + shift, check=rows)
 
 
-def unmoved(state: State, x: Array) -> float:
+def _unmoved(state: State, x: Array) -> float:
     """The misfit of the model as it is."""
-    return replace(state, slopes=np.zeros_like(state.slopes)).misfit(x)
+    return _as_it_is(state).misfit(x)
+
+
+def _as_it_is(state: State) -> State:
+    """The state whose values do not move."""
+    return replace(state, slopes=np.zeros_like(state.slopes))

@@ -35,8 +35,8 @@ PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of th
 class Library:
     """The base state, its paired simulations (simulation, part, observable) and rays.
 
-    without : what is known of the base state without some of its effects · shown : the misfit that simulations show
-    without one, where slopes say that the others come to · formed : and with one in another form ·
+    without : what is known of the base state without some of its effects · shown : what a few simulations say that one
+    is worth (see `joint.shown_worth`) · formed : and with one in another form ·
     earlier : kinds of effects whose rays are those beside an earlier base state, until a look has renewed some
     """
 
@@ -87,7 +87,7 @@ class Library:
         """
         evidence, misfit = {kind: list[float]() for kind in self.rays}, []
         fold_of = np.arange(len(self.rows)) % folds
-        trials = [(_with_noise_of(self.base, self.rows[fold_of != f]), self.rows[fold_of == f]) for f in range(folds)]
+        trials = [(with_noise_of(self.base, self.rows[fold_of != f]), self.rows[fold_of == f]) for f in range(folds)]
         for state, unseen in [*trials, (self.base, self.base.check)]:
             for x in unseen:
                 misfit.append(state.misfit(x))
@@ -96,7 +96,7 @@ class Library:
         return {kind: np.array(found) for kind, found in evidence.items()}, np.array(misfit)
 
 
-def _with_noise_of(state: State, rows: Array) -> State:
+def with_noise_of(state: State, rows: Array) -> State:
     """The state with mean, spread and correlation of these simulations (simulation, part, observable)."""
     mean = rows.mean(axis=0)
     spread = np.maximum(rows.std(axis=0, ddof=1), state.least_spread)
@@ -138,7 +138,7 @@ def build(
     bare = State(model, blank, blank, blank[..., None], prior, blank, check, tuple(free), least, tuple(values))
     simulated = Library(bench, bare, rows, {}).simulated
     slopes = derivatives(simulated, lambda by: model_at(model, values, free, by), steps, rows)
-    base = _with_noise_of(replace(bare, slopes=slopes), rows)
+    base = with_noise_of(replace(bare, slopes=slopes), rows)
     library = with_halves(Library(bench, base, rows, {}), added)
     earlier = {kind: last[kind] for kind in kinds if last and kind in last}
     library = replace(library, rays=earlier, earlier=frozenset(earlier))

@@ -270,9 +270,8 @@ class Stand:
 
     def is_promise(self, kind: str) -> bool:
         """Is it slopes alone that let the others make up for an added effect? Simulations of where these come to then
-        show more misfit than the model has as it is, by more than the effect needs to be worth."""
-        more = joint.shown_without(self.library, kind, self.x) - joint.unmoved(self.state, self.x)
-        return more > self.worths[kind].needed
+        show that it is worth what it needs."""
+        return joint.shown_worth(self.library, kind, self.x) > self.worths[kind].needed
 
     def may_stand_in(self, kind: str) -> bool:
         """Is an effect worth so little of another that it may make up for where the values of that one have come to:
