@@ -52,6 +52,7 @@ def test_background_gradient_is_seen_in_the_mean_image(of_nothing):
 
     assert unevenness(found.maps["light"]) > 3 * unevenness(of_nothing.maps["light"])
     assert place_of("background_map_tilt") == "light"
+    assert place_of("level_position_background") == "light" and place_of("level_time_background") == "course"
 
 
 def test_drift_is_seen_at_the_ends_of_the_movie(of_nothing):

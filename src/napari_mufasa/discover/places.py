@@ -39,6 +39,7 @@ PLACES: dict[str, str] = {
     "single_frame": "frames", "digits": "pixels", "common_mode": "frames", "repeated_frames": "memory",
     "common_shift": "course", "individual_shift": "course", "spot_": "course", "ensemble": "course",
     "spots": "light", "level": "molecules:brightness", "level_position": "light", "level_trend": "molecules:trend",
+    "level_time": "course",
     "count": "molecules:flicker", "autocorrelation": "molecules:memory", "gap": "molecules:gaps",
     "steps": "molecules:steps", "last_level": "molecules:steps", "first_seen": "course",
     "survival": "molecules:last",
