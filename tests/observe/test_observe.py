@@ -144,6 +144,11 @@ def test_the_tilt_of_brightness_is_not_ruled_by_pairs_that_pass_for_one_spot():
     np.testing.assert_allclose(np.mean(tilts, axis=0), [0.0, 0.1], atol=0.02)  # drawn in, as simulated ones are
 
 
+def looks_at(model, effect, movies):
+    """What movies with an effect show."""
+    return [observe(nm.simulate(model.with_effects(effect), seed=seed).movie, model) for seed in range(movies)]
+
+
 @pytest.mark.parametrize("form", ["linear", "gaussian"])
 def test_uneven_light_is_on_spots_and_background_alike(form):
     """Where the background is brighter by a spread, spots are by the same share; in haze they are as elsewhere."""
@@ -152,7 +157,7 @@ def test_uneven_light_is_on_spots_and_background_alike(form):
     haze = BackgroundGradient(form="hump" if form == "gaussian" else "linear", relative_height=0.5)
 
     def seen(effect):
-        found = [observe(nm.simulate(model.with_effects(effect), seed=seed).movie, model) for seed in range(6)]
+        found = looks_at(model, effect, 6)
         along = [each.values[0, each.names.index("level_position_background")] for each in found]
         counted = [each.spots.positions_px[well_seen(each.spots, each.states)] for each in found]
         around = [map_at(each.background_map, places) for each, places in zip(found, counted, strict=True)]
@@ -164,19 +169,20 @@ def test_uneven_light_is_on_spots_and_background_alike(form):
     assert along > 10 * uncertain
     along, uncertain, spread = seen(haze)
     assert along == pytest.approx(0, abs=4 * uncertain) and spread > 0.05
+    assert uncertain < spread / 10
 
 
 def seen_of(model, effect, names, movies=4):
     """Means of some observables of movies with an effect."""
-    found = [observe(nm.simulate(model.with_effects(effect), seed=seed).movie, model) for seed in range(movies)]
+    found = looks_at(model, effect, movies)
     return np.mean([[each.values[0, each.names.index(name)] for name in names] for each in found], axis=0)
 
 
 @pytest.mark.parametrize("form", ["linear", "step"])
 def test_a_lasers_power_is_on_spots_and_background_and_a_drift_of_the_background_is_not(form):
-    """A course that moves by a third has a spread of a third of √(1/12) if steadily, of ½ with a step at half, over its
-    mean; noise is as the square root of light. 120 frames × 40 molecules of 0.3 relative noise tell spots to 0.005.
-    What moves with the background alone is on no spot, and a converter's offset brings no noise."""
+    """A course that moves by a third has, over its mean, a spread of √(1/12) of that if steadily, and of half of it
+    with a step at half; noise is as the square root of light. 120 frames × 40 molecules of 0.3 relative noise tell
+    spots to 0.005. What moves with the background alone is on no spot, and a converter's offset brings no noise."""
     model = standing_apart().with_values({"optics.background_photons_per_px": 20})
     names = ("level_time_background", "background_time_noise")
     spread = {"linear": 1 / 3 / 12**0.5, "step": 1 / 6}[form] / (1 + 1 / 6)

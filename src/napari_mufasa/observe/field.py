@@ -31,7 +31,7 @@ def background(
     scale: float,
     seen: Background,
 ) -> None:
-    """Observables of pixels away from spots; `scale` is photoelectrons per ADU."""
+    """Observables of pixels away from spots; `scale` is photoelectrons per ADU, `seen` their course and map."""
     mask = part.holds(label)
     at = np.flatnonzero(mask)
     course = seen.course
