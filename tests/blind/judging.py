@@ -18,6 +18,7 @@ Row = dict[str, Any]
 AT_FLOOR = 1.25  # floors
 SEEN = 1.5  # times the strength that the report says it would have seen
 INSIDE = float(stats.norm.isf(0.025))  # of a stated sd
+NOT_SURE = 2 / 3  # what the report calls names that take away less of the error which is beyond the floor without them
 SIGNLESS = {"log_ratio"}  # its sign goes with the axis, which may be told either way
 ALONE = ("single", "faint", "strong")
 KNOWN_ONLY = (*ALONE, "pair", "several")  # groups in which all that is hidden is in the catalogue
@@ -93,6 +94,7 @@ def beside(rows: Sequence[Row]) -> list[Line]:
         _count("two at once: exactly both", pairs, exact),
         _count("one off the catalogue alone: `unexplained`", group(rows, "off"), unexplained),
         _shares("… beside one off the catalogue: wrong names of those given", off, wrong, _chosen),
+        *_by_share(rows),
         Line("intervals that cover where another form was chosen", sum(pull.inside for pull in other), len(other)),
         _count("diagnoses that crashed", rows, lambda row: row["verdict"] == "crash"),
     ]  # fmt: skip
@@ -215,6 +217,15 @@ def credible_sets(rows: Iterable[Row]) -> list[tuple[bool, int]]:
     return found
 
 
+def share_taken(row: Row, kind: str) -> float | None:
+    """Of the error beyond the floor without an effect that was added, the share that it takes away, 0 … 1; None where
+    the row does not say what the error is without."""
+    without, error = row["found"][kind].get("error_without"), row["error"]
+    if without is None:
+        return None
+    return float(np.clip((without - error["after"]) / max(without - error["floor"], 1e-9), 0.0, 1.0))
+
+
 def median_pull(found: Sequence[Pull]) -> float:
     return float(np.median([each.pull for each in found]))
 
@@ -237,6 +248,19 @@ def _shares(
     what: str, rows: Sequence[Row], part: Callable[[Row], set[str]], whole: Callable[[Row], set[str]], bound: str = ""
 ) -> Line:
     return Line(what, sum(len(part(row)) for row in rows), sum(len(whole(row)) for row in rows), bound)
+
+
+def _by_share(rows: Iterable[Row]) -> list[Line]:
+    """Are names right that take away much of the error, and those that take away little?"""
+    named = [(row, kind) for row in rows for kind in row["chosen"] if row["group"] != "null"]
+    shares = [(share_taken(row, kind), kind in hidden(row)) for row, kind in named]
+    sure = [is_right for share, is_right in shares if share is not None and share >= NOT_SURE]
+    unsure = [is_right for share, is_right in shares if share is not None and share < NOT_SURE]
+    what = "of the error beyond the floor without it: right"
+    return [
+        Line(f"names that take away two thirds and more {what}", sum(sure), len(sure)),
+        Line(f"names that take away less {what}", sum(unsure), len(unsure)),
+    ]
 
 
 def _named(what: str, rows: Sequence[Row], bounds: tuple[str, str, str]) -> list[Line]:

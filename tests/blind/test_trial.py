@@ -195,6 +195,19 @@ def test_intervals_and_sets_hold_the_truth_or_not():
     assert judging.credible_sets([wrong]) == [(True, 2)]
 
 
+def test_names_are_counted_by_the_share_of_the_error_that_they_take_away():
+    case = {"group": "several", "number": 0, "seed": 1, "effects": [["row_noise", 0.5], ["stage_drift", 0.5]]}
+    case |= {"form": None, "off": None, "base": "emccd", "molecules": 50}
+    told = row(case, ["row_noise", "laser_flicker"]) | {"error": {"before": 4.0, "after": 1.2, "floor": 1.0}}
+    for kind, without in (("row_noise", 2.0), ("laser_flicker", 1.25)):
+        told["found"][kind]["error_without"] = without
+    assert judging.share_taken(told, "row_noise") == pytest.approx(0.8 / 1.0)
+    assert judging.share_taken(told, "laser_flicker") == pytest.approx(0.05 / 0.25)
+    counted = judging.beside([told, row(case)])  # rows that do not say what the error is without are not counted
+    much, little = (line(counted, f"names that take away {how}") for how in ("two thirds", "less"))
+    assert (much.hits, much.of) == (1, 1) and (little.hits, little.of) == (0, 1)
+
+
 def test_a_share_has_the_interval_of_wilson():
     low, high = judging.Line("", 97, 100).interval
     z, p, n = NormalDist().inv_cdf(0.975), 0.97, 100

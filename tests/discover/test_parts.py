@@ -14,8 +14,9 @@ from napari_mufasa.discover.derivatives import free_steps
 from napari_mufasa.discover.library import as_seen, ray_settings
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.null import Null
-from napari_mufasa.discover.reporting import detectable
+from napari_mufasa.discover.reporting import detectable, sure_of_names
 from napari_mufasa.discover.rules import ALARM, FORM_ERROR
+from napari_mufasa.discover.stand import Worth
 from napari_mufasa.discover.state import Ray, State, scaled, two_sided
 from napari_mufasa.effects import catalogue, effect_class
 from napari_mufasa.observe import PARTS
@@ -380,6 +381,27 @@ def test_what_would_have_been_seen_is_told_from_where_there_is_none_of_it():
     assert told == {"em_excess_noise": pytest.approx(2 + 0.12 * 0.8)}  # the first step beyond 5.91 / 80 of the way
     stand.needed = lambda _: 1e6
     assert detectable(SimpleNamespace(state=state, stand=stand)) == {"em_excess_noise": None}
+
+
+def test_a_name_is_as_sure_as_its_evidence_its_rivals_and_the_share_of_the_error_that_it_takes_away():
+    worths = {
+        "row_noise": Worth(1000.0, 5.0, 10.0),
+        "laser_flicker": Worth(60.0, 1.6, 10.0),
+        "photobleaching": Worth(1000.0, 5.0, 10.0, {"laser_drift": 0.0}),
+        "triplet_blinking": Worth(-3.0, 1.1, 10.0),
+    }
+    named = {"worths": worths, "birge": 1.2, "in_place_of": lambda kind: worths[kind].rivals}
+    at_floor = sure_of_names(SimpleNamespace(error=0.98, state=SimpleNamespace(floor=1.0), **named))
+    sure = {kind: number for kind, (number, _) in at_floor.items()}
+    assert sure == pytest.approx(
+        {"row_noise": 1.0, "laser_flicker": 1.0, "photobleaching": 0.5, "triplet_blinking": 0.5}
+    )
+    off = sure_of_names(SimpleNamespace(error=1.4, state=SimpleNamespace(floor=1.0), **named))
+    sure = {kind: number for kind, (number, _) in off.items()}
+    assert sure == pytest.approx(
+        {"row_noise": 0.9, "laser_flicker": 0.2 / 0.6, "photobleaching": 0.45, "triplet_blinking": 0.0}
+    )
+    assert {kind: others for kind, (_, others) in off.items() if others} == {"photobleaching": ("laser_drift",)}
 
 
 def test_changed_effects_keep_their_limits():

@@ -12,7 +12,7 @@ from napari_mufasa.discover.metric import soften
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.discover.rules import CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
-from napari_mufasa.discover.standing import Standing
+from napari_mufasa.discover.standing import Standing, share_of
 from napari_mufasa.discover.state import SCALES
 from napari_mufasa.effects import effect_class
 from napari_mufasa.model.model import Model
@@ -31,7 +31,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
     after = inquiry.bench.observations([(model, k) for k in numbers]) if stand.added else before
     verdict = verdict or verdict_of(inquiry)
     completed = inquiry.bench.restored(model, inquiry.believed)
-    names = _sure_of_names(stand)
+    names = sure_of_names(stand)
     cut_short = verdict != "adequate" and not stand.content and not inquiry.affords(1)
     ranking = [*inquiry.candidates(), *(c for c in inquiry.ranking if c.effect not in stand.added)]
     return Report(
@@ -93,17 +93,19 @@ def _history(inquiry: Standing) -> list[dict[str, Any]]:
     return found
 
 
-def _sure_of_names(stand: Stand) -> dict[str, tuple[float, tuple[str, ...]]]:
+def sure_of_names(stand: Stand) -> dict[str, tuple[float, tuple[str, ...]]]:
     """How sure the name of each effect in the model is, and its alternatives where it is not.
 
     Against it stand the model without it, and each rival that explains its share in its place; evidence is twice the
-    log of their odds, divided by Birge's ratio squared where misfit is left.
+    log of their odds, divided by Birge's ratio squared where misfit is left. And it may stand in for what nothing
+    explains: only so sure can it be as the share which it takes away of the error beyond the floor without it.
     """
     found = {}
+    error, floor = stand.error, stand.state.floor
     for kind, worth in stand.worths.items():
         scale, rivals = 2 * stand.birge**2, stand.in_place_of(kind)
         odds = [np.exp(-max(d, 0.0) / scale) for d in (worth.evidence, *rivals.values())]
-        sure = float(1 / (1 + sum(odds)))
+        sure = float(1 / (1 + sum(odds))) * share_of(worth.error_without, error, floor)
         found[kind] = (sure, tuple(rivals) if sure < UNSURE else ())
     return found
 

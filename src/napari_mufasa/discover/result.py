@@ -89,6 +89,7 @@ class Report:
     seconds, seed : time by the clock; what chance was drawn from
     w1 : of a table of traces, W1 per frame between it and simulations: before, after, floor, unit; empty for movies
     inclusion : for each effect added, how sure its name is, 0 … 1, against what would explain as much in its place
+        and what nothing explains
     alternatives : sets of kinds, each of an effect added and those that the data cannot tell it from
     explained : share of the misfit beyond chance that the additions take away, 0 … 1
     credibility : how many times fewer molecules or frames before nobody could tell completed model and movie apart
