@@ -644,33 +644,68 @@ def test_one_form_that_took_the_place_of_two_effects_gives_way_to_both():
 
 
 @pytest.mark.parametrize(("birge", "told"), [(1.0, {}), (1.5, {"laser_flicker": 9.0})])
-def test_where_misfit_is_left_a_rival_is_harder_to_tell_apart(inquiry, birge, told):
+def test_where_misfit_is_left_a_rival_is_harder_to_tell_apart(birge, told):
     """What a likelihood is worth is divided by Birge's ratio squared."""
-    worths = {"laser_drift": Worth(500.0, 3.0, 20.0)}
+    worths = {"laser_drift": Worth(500.0, 3.0, 20.0, {"photobleaching": 1.0})}
     stand = SimpleNamespace(
-        misfit=100.0, birge=birge, worths=worths, x=None,
-        knowing=lambda kind, worth: SimpleNamespace(worths={kind: worth}),
-    )  # fmt: skip
-    begun = inquiry.believed.with_effects(effect_class("laser_flicker")())
+        birge=birge, worths=worths, knowing=lambda kind, worth: SimpleNamespace(worths={kind: worth})
+    )
     seen = SimpleNamespace(stand=stand, stands=[stand])
-    steps.Steps._note_rivals(seen, "laser_drift", [SimpleNamespace(model=begun, misfit=lambda x: 109.0)])
-    assert seen.stands[-1].worths["laser_drift"].rivals == told
+    steps.Steps._note_rivals(seen, "laser_drift", {"laser_flicker": 9.0})
+    assert seen.stands[-1].worths["laser_drift"].rivals == {"photobleaching": 1.0} | told
+
+
+def stand_of(kind, surprise, misfit, error=1.28):
+    """A stand of one effect, as far as `_replaced` looks at it."""
+    model = SimpleNamespace(effects=[SimpleNamespace(kind=kind)])
+    state = SimpleNamespace(surprise=lambda x: surprise, model=model)
+    library = SimpleNamespace(formed={})
+    return SimpleNamespace(
+        state=state, added=(kind,), misfit=misfit, error=error, content=False, x=None, library=library
+    )
+
+
+def replaced(now, then, suspects=()):
+    """Whether `_replaced` keeps the second of two stands in the place of the first, and what it notes."""
+    noted = {}
+    seen = SimpleNamespace(
+        stand=now, state=now.state, stands=[now], suspects=suspects, believed=nm.preset("PALM"),
+        _settle=lambda state, below: seen.stands.append(then) or True,
+        _note_rivals=lambda kind, behind: noted.update({kind: behind}),
+        _unlikely=lambda state: steps.Steps._unlikely(seen, state),
+    )  # fmt: skip
+    is_kept = steps.Steps._replaced(seen, now.added[0], [then.state], 6.0)
+    assert seen.stands == ([then] if is_kept else [now])
+    return is_kept, {kind: behind for kind, behind in noted.items() if behind}
 
 
 @pytest.mark.parametrize(("error", "kept"), [(1.3, True), (1.45, False)])
-def test_another_form_that_is_far_likelier_is_kept_though_its_error_is_higher_by_chance(inquiry, error, kept):
+def test_another_form_that_is_far_likelier_is_kept_though_its_error_is_higher_by_chance(error, kept):
     """Two levels of brightness left 28 less misfit than a lognormal law, and an error of 1.34 in place of 1.32."""
-    now, then = (SimpleNamespace(surprise=lambda x, at=at: at) for at in (0.0, -28.0))
-    formed = SimpleNamespace(surprise=lambda x: -20.0)
-    stand = SimpleNamespace(
-        state=now, error=1.28, misfit=158.0, content=False, x=None, library=SimpleNamespace(formed={"one": formed})
-    )
-    other = SimpleNamespace(state=then, error=error)
-    seen = SimpleNamespace(stand=stand, stands=[stand])
-    seen._settle = lambda state, below: seen.stands.append(other) or True
-    assert steps.Steps._replaced(seen, "one", [formed], 6.0) == kept
-    assert seen.stands == ([other] if kept else [stand])
-    assert stand.library.formed["one"] is (formed if kept else None)
+    now, then = (stand_of("brightness_heterogeneity", *at) for at in ((0.0, 158.0), (-28.0, 140.0, error)))
+    formed = now.library.formed
+    formed["brightness_heterogeneity"] = then.state
+    assert replaced(now, then) == (kept, {})
+    assert formed["brightness_heterogeneity"] is (then.state if kept else None)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "likelier", "suspects", "kept"),
+    [
+        ("dim_population", "brightness_heterogeneity", -5.0, (), True),  # as likely: the common one of the two
+        ("dim_population", "brightness_heterogeneity", -7.0, (), False),
+        ("dim_population", "brightness_heterogeneity", -5.0, ("dim_population", "brightness_heterogeneity"), False),
+        ("brightness_heterogeneity", "dim_population", 17.0, (), False),
+        ("brightness_heterogeneity", "dim_population", 19.0, (), True),
+        ("laser_drift", "photobleaching", 5.0, (), False),  # both are common
+        ("laser_drift", "photobleaching", 7.0, (), True),
+    ],
+)
+def test_of_two_effects_that_the_data_cannot_tell_apart_the_common_one_is_named(one, other, likelier, suspects, kept):
+    """Whichever is named, the other is noted, with how much more misfit it leaves."""
+    now, then = stand_of(one, 0.0, 158.0), stand_of(other, -likelier, 156.0)
+    named, noted = (other, {one: 2.0}) if kept else (one, {other: -2.0})
+    assert replaced(now, then, suspects) == (kept, {named: noted})
 
 
 @pytest.mark.parametrize("first", ["photobleaching", "laser_drift"])

@@ -332,14 +332,25 @@ def test_forms_are_compared_each_in_its_best_shape():
 
 
 @pytest.mark.parametrize(
-    ("rows_adu", "most", "left"),
-    [(0.0, 1.03, ["hot_pixels"]), (0.0, 0.5, ["hot_pixels", "row_noise"]), (20.0, 1.03, ["hot_pixels", "row_noise"])],
+    ("rows_adu", "most", "rivals", "doubtful", "left"),
+    [
+        (0.0, 1.03, ("row_noise",), 0.0, ["hot_pixels"]),
+        (0.0, 1.03, (), 1.1, ["hot_pixels"]),
+        (0.0, 1.03, (), 0.0, ["hot_pixels", "row_noise"]),
+        (0.0, 0.5, ("row_noise",), 0.0, ["hot_pixels", "row_noise"]),
+        (20.0, 1.03, ("row_noise",), 0.0, ["hot_pixels", "row_noise"]),
+        (20.0, 1.03, (), 1.1, ["hot_pixels", "row_noise"]),
+    ],
 )
-def test_one_effect_in_another_form_takes_the_place_of_two_rivals(monkeypatch, rows_adu, most, left):
+def test_one_effect_in_another_form_takes_the_place_of_two_rivals_or_of_one_and_a_doubtful_one(
+    monkeypatch, rows_adu, most, rivals, doubtful, left
+):
     """Switching pixels and row noise explain steady pixels, unless there is much row noise beside them, or one effect
     in their place leaves more error than it may."""
-    monkeypatch.setattr(HOT, "rivals", ("row_noise",))
+    monkeypatch.setattr(HOT, "rivals", rivals)
+    monkeypatch.setattr(ROWS, "rivals", ())
     monkeypatch.setattr(steps, "NOT_RISEN", most)
+    monkeypatch.setattr(steps, "DOUBTFUL", doubtful)  # of any effect, or of none
     bench = FormBench()
     hidden = [HOT(fraction=5e-3, electrons=33.0, form="steady")] + [ROWS(rms_adu=rows_adu)] * (rows_adu > 0)
     stand = stand_of(bench, bench.start.with_effects(*hidden))

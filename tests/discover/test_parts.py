@@ -16,7 +16,7 @@ from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.reporting import detectable, sure_of_names
 from napari_mufasa.discover.rules import ALARM, FORM_ERROR
-from napari_mufasa.discover.stand import Worth
+from napari_mufasa.discover.stand import Stand, Worth
 from napari_mufasa.discover.state import Ray, State, scaled, two_sided
 from napari_mufasa.effects import catalogue, effect_class
 from napari_mufasa.observe import PARTS
@@ -390,15 +390,19 @@ def test_a_name_is_as_sure_as_its_evidence_its_rivals_and_the_share_of_the_error
         "photobleaching": Worth(1000.0, 5.0, 10.0, {"laser_drift": 0.0}),
         "triplet_blinking": Worth(-3.0, 1.1, 10.0),
     }
-    named = {"worths": worths, "birge": 1.2, "in_place_of": lambda kind: worths[kind].rivals}
-    at_floor = sure_of_names(SimpleNamespace(error=0.98, state=SimpleNamespace(floor=1.0), **named))
-    sure = {kind: number for kind, (number, _) in at_floor.items()}
-    assert sure == pytest.approx(
+
+    def sure_at(error):
+        stand = SimpleNamespace(
+            worths=worths, birge=1.2, in_place_of=lambda kind: worths[kind].rivals, error=error,
+            state=SimpleNamespace(floor=1.0), share=lambda kind: Stand.share(stand, kind),
+        )  # fmt: skip
+        return sure_of_names(stand)
+
+    at_floor, off = sure_at(0.98), sure_at(1.4)
+    assert {kind: sure for kind, (sure, _) in at_floor.items()} == pytest.approx(
         {"row_noise": 1.0, "laser_flicker": 1.0, "photobleaching": 0.5, "triplet_blinking": 0.5}
     )
-    off = sure_of_names(SimpleNamespace(error=1.4, state=SimpleNamespace(floor=1.0), **named))
-    sure = {kind: number for kind, (number, _) in off.items()}
-    assert sure == pytest.approx(
+    assert {kind: sure for kind, (sure, _) in off.items()} == pytest.approx(
         {"row_noise": 0.9, "laser_flicker": 0.2 / 0.6, "photobleaching": 0.45, "triplet_blinking": 0.0}
     )
     assert {kind: others for kind, (_, others) in off.items() if others} == {"photobleaching": ("laser_drift",)}

@@ -315,7 +315,9 @@ def test_a_good_model_with_a_rest_does_not_read_like_a_failure(monkeypatch):
     assert all(text in page and f"  {text}" in wording.summary(good) for text in told)
     assert wording.standing_lines(report("adequate")) == []
     doubted = dataclasses.replace(good, alternatives=[], inclusion={"triplet_blinking": 0.66})
-    assert any(line.startswith("Not sure: fast dark-state blinking (66 %). ") for line in wording.standing_lines(doubted))
+    assert any(
+        line.startswith("Not sure: fast dark-state blinking (66 %). ") for line in wording.standing_lines(doubted)
+    )
     for of_two in (dataclasses.replace(doubted, alternatives=good.alternatives), good):  # which says so itself
         assert not any("Not sure" in line for line in wording.standing_lines(of_two))
     same = dataclasses.replace(good, credibility=1.0, explained=0.9999, remaining=[], alternatives=[])

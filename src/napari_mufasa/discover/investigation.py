@@ -17,7 +17,7 @@ from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
 from napari_mufasa.discover.result import Candidate, Report, Verdict
 from napari_mufasa.discover.rules import FINALISTS, NEAR, REMOVALS, START
-from napari_mufasa.discover.standing import share_of
+from napari_mufasa.discover.stand import share_of
 from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import Lead, State
 from napari_mufasa.discover.steps import Steps, each_form

@@ -12,7 +12,7 @@ from napari_mufasa.discover.metric import soften
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.discover.rules import CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
-from napari_mufasa.discover.standing import Standing, share_of
+from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.state import SCALES
 from napari_mufasa.effects import effect_class
 from napari_mufasa.model.model import Model
@@ -101,11 +101,10 @@ def sure_of_names(stand: Stand) -> dict[str, tuple[float, tuple[str, ...]]]:
     explains: only so sure can it be as the share which it takes away of the error beyond the floor without it.
     """
     found = {}
-    error, floor = stand.error, stand.state.floor
     for kind, worth in stand.worths.items():
         scale, rivals = 2 * stand.birge**2, stand.in_place_of(kind)
         odds = [np.exp(-max(d, 0.0) / scale) for d in (worth.evidence, *rivals.values())]
-        sure = float(1 / (1 + sum(odds))) * share_of(worth.error_without, error, floor)
+        sure = float(1 / (1 + sum(odds))) * stand.share(kind)
         found[kind] = (sure, tuple(rivals) if sure < UNSURE else ())
     return found
 

@@ -40,6 +40,8 @@ SHAPE = 0.015  # of the evidence of each other effect, so far as that moves the 
 # for what the others leave is also the error of their form
 FAR_LESS = 0.5  # of the evidence that effects need: those that are worth less are taken out together
 CLEAR = 2.0  # times the evidence that it needs: what a few simulations say an effect is worth so much, is worth it
+DOUBTFUL = 2 / 3  # of the error that is off without an effect: one that takes away less may be the error of another's
+# form, and a name that is less sure than this is told as such
 FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tried; and a rival whose settings end
 # before it is at its best; of all that is explained: what is worth less may be its rival's form
 NEARER = 0.97  # of the misfit: simulations of where a step downhill leads confirm it

@@ -250,6 +250,10 @@ class Stand:
             found.append([[itself], *alike[:RIVALS]])
         return found
 
+    def share(self, kind: str) -> float:
+        """How much of the error that is off without an added effect it takes away, 0 … 1."""
+        return share_of(self.worths[kind].error_without, self.error, self.state.floor)
+
     def in_place_of(self, kind: str) -> dict[str, float]:
         """What cannot be told from an added effect, with how much more misfit it leaves in its place."""
         same = effect_class(kind).same_as(self.state.model, self.added)
@@ -321,6 +325,11 @@ class Stand:
 def are_rivals(kind: str, other: str) -> bool:
     """Are two effects known to look alike?"""
     return kind in effect_class(other).rivals or other in effect_class(kind).rivals
+
+
+def share_of(before: float, after: float, floor: float) -> float:
+    """How much of what could be removed of an error was removed, 0 … 1."""
+    return float(np.clip((before - after) / max(before - floor, 1e-9), 0.0, 1.0))
 
 
 def _shared(moves: Array, moved: Array, spread: Array) -> float:

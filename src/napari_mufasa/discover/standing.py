@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import numpy as np
-
 from napari_mufasa.discover import library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
@@ -96,7 +94,6 @@ class Standing:
         for kind in stand.added:
             worth, effect = stand.worths[kind], next(e for e in model.effects if e.kind == kind)
             evidence, error = max(worth.evidence, 0.0), stand.error
-            share = share_of(worth.error_without, error, stand.state.floor)
             p = stand.null.evidence_of(kind).p(evidence)
             found.append(
                 Candidate(
@@ -104,7 +101,7 @@ class Standing:
                     p,
                     evidence,
                     error,
-                    share,
+                    stand.share(kind),
                     effect.parameters(),
                     sds[kind],
                     tuple(stand.in_place_of(kind)),
@@ -112,8 +109,3 @@ class Standing:
                 )
             )
         return found
-
-
-def share_of(before: float, after: float, floor: float) -> float:
-    """How much of what could be removed of an error was removed, 0 … 1."""
-    return float(np.clip((before - after) / max(before - floor, 1e-9), 0.0, 1.0))

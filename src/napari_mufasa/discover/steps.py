@@ -3,7 +3,7 @@ its place is taken out, forms and rivals are exchanged."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from napari_mufasa.discover import joint, library
 from napari_mufasa.discover.coordinates import changed
 from napari_mufasa.discover.rules import (
     CLEAR,
+    DOUBTFUL,
     FAR,
     FAR_LESS,
     FAR_OFF,
@@ -26,7 +27,7 @@ from napari_mufasa.discover.stand import Case, Stand, Worth, are_rivals
 from napari_mufasa.discover.standing import Standing
 from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import State
-from napari_mufasa.effects import Effect
+from napari_mufasa.effects import Effect, effect_class
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
@@ -164,7 +165,7 @@ class Steps(Standing):
             if not self.affords(1):
                 return False
             tries = self._begun_without(kind, stand.rivals_of(kind)[:RIVALS] if waiting is None else ())
-            self._note_rivals(kind, tries)
+            self._note_rivals(kind, {_kinds(tried)[-1]: tried.misfit(stand.x) - stand.misfit for tried in tries})
             if not stand.content and (state := self._in_other_forms(kind)) is not None:
                 formed[kind] = state
                 tries.append(state)
@@ -177,8 +178,8 @@ class Steps(Standing):
 
     def merge(self) -> bool:
         """Try one effect in the place of two, the lesser of which is worth no more than a form may be: another form of
-        one that the other is a rival of, or what is known to look like both; keep it where two are not worth their
-        place beside one."""
+        one that the other is a rival of, or of any where that is doubtful, or what is known to look like both; keep it
+        where two are not worth their place beside one."""
         stand = self.stand
         explained = self.first.misfit - stand.misfit
         for kind in sorted(stand.added, key=lambda kind: stand.worths[kind].evidence):
@@ -299,7 +300,8 @@ class Steps(Standing):
         stand, x = self.stand, self.stand.x
         once = stand.worths[lesser].evidence <= stand.worths[kind].evidence
         alike = stand.like_both(kind, lesser) if once else {}
-        forms = _other_forms(stand.state.model, kind) if are_rivals(kind, lesser) else []
+        may_be_form = are_rivals(kind, lesser) or stand.share(lesser) < DOUBTFUL
+        forms = _other_forms(stand.state.model, kind) if may_be_form else []
         if not alike and not forms:
             return None
         bare = joint.removed(stand.library, kind, lesser)
@@ -313,31 +315,41 @@ class Steps(Standing):
         risen = merged.error > NOT_RISEN * stand.error
         return None if risen or stand.is_worth(_worth_beside(stand, merged, needed)) else merged
 
-    def _note_rivals(self, kind: str, tries: Sequence[State]) -> None:
-        """Note what was begun in the place of an effect and cannot be told from it; the more misfit is left, the
-        farther off that may be."""
+    def _note_rivals(self, kind: str, behind: Mapping[str, float]) -> None:
+        """Note with an effect's worth what was in its place, so much `behind` it in misfit, and cannot be told from it;
+        the more misfit is left, the farther behind that may be."""
         stand = self.stand
-        behind = {tried.model.effects[-1].kind: tried.misfit(stand.x) - stand.misfit for tried in tries}
         if near := {rival: by for rival, by in behind.items() if by < NEAR * stand.birge**2}:
-            self.stands[-1] = stand.knowing(kind, replace(stand.worths[kind], rivals=near))
+            worth = stand.worths[kind]
+            self.stands[-1] = stand.knowing(kind, replace(worth, rivals={**worth.rivals, **near}))
+
+    def _unlikely(self, state: State) -> float:
+        """How unlikely a state is (−2 log likelihood, as its surprise), its effects that are not common the more: where
+        the data cannot tell it from a common one, it is the common one."""
+        odd = [k for k in _kinds(state) if not (self.suspects or effect_class(k).common_in(self.believed))]
+        return state.surprise(self.stand.x) + 2 * NEAR * len(odd)
 
     def _replaced(self, kind: str, tries: Sequence[State], more: float) -> bool:
         """Settle the best of `tries`, in each of which something else is in the place of an effect, unless it leaves so
-        much `more` misfit; keep it where it explains more."""
-        stand = self.stand
-        tries = sorted(tries, key=lambda state: state.surprise(stand.x))
-        surprise = stand.state.surprise(stand.x)
+        much `more` misfit; keep it where it is likelier. What cannot be told from the one that is kept is noted."""
+        stand, unlikely = self.stand, self._unlikely(self.state)
+        tries = sorted(tries, key=self._unlikely)
         margin = more if more < 0 else 0.0 if stand.content else 2 * NEAR
-        if not tries or tries[0].surprise(stand.x) > surprise + margin:
+        if not tries or self._unlikely(tries[0]) > unlikely + margin:
             return False
         if not self._settle(tries[0], below=stand.misfit + more):
             return False
         other = self.stands.pop()
-        if other.state.surprise(stand.x) > surprise - NEAR or other.error > NOT_RISEN * stand.error:
+        behind = other.misfit - stand.misfit
+        instead = [] if kind in other.added else [k for k in other.added if k not in stand.added]
+        if self._unlikely(other.state) > unlikely - NEAR or other.error > NOT_RISEN * stand.error:
             if tries[0] is stand.library.formed.get(kind):
                 stand.library.formed[kind] = None
+            self._note_rivals(kind, dict.fromkeys(instead, behind))
             return False
         self.stands[-1] = other
+        for rival in instead:
+            self._note_rivals(rival, {kind: -behind})
         return True
 
 

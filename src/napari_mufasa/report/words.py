@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from napari_mufasa.discover.rules import DOUBTFUL
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -16,7 +18,6 @@ if TYPE_CHECKING:
 
 
 MOST_OFF = 3  # observables that are told as still off
-NOT_SURE = 2 / 3  # names that are less sure are told as such
 NEEDLESS = 0.05  # p-value beyond which the data do not ask for an effect that was added by hand
 
 
@@ -172,13 +173,11 @@ def standing_lines(report: Report) -> list[str]:
     elif report.chosen:
         lines.append("These data cannot tell the completed model and the movie apart.")
     named = {kinds[0] for kinds in report.alternatives}
-    unsure = {kind: sure for kind, sure in report.inclusion.items() if sure < NOT_SURE and kind not in named}
+    unsure = {kind: sure for kind, sure in report.inclusion.items() if sure < DOUBTFUL and kind not in named}
     if unsure:
         names = listed(f"{in_text(kind)} ({_percent(sure)})" for kind, sure in unsure.items())
-        lines.append(
-            f"Not sure: {names}. Without it not much more would be off than is off now: it may stand in for what nothing "
-            "explains."
-        )
+        without = "Without it not much more would be off than is off now"
+        lines.append(f"Not sure: {names}. {without}: it may stand in for what nothing explains.")
     for kinds in report.alternatives:
         lines.append(f"One of these, and the data cannot tell which: {listed((in_text(k) for k in kinds), 'or')}.")
     if report.chosen and report.remaining:
