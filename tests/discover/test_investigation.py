@@ -658,7 +658,7 @@ def test_where_misfit_is_left_a_rival_is_harder_to_tell_apart(birge, told):
 def stand_of(kind, surprise, misfit, error=1.28):
     """A stand of one effect, as far as `_replaced` looks at it."""
     model = SimpleNamespace(effects=[SimpleNamespace(kind=kind)])
-    state = SimpleNamespace(surprise=lambda x: surprise, model=model)
+    state = SimpleNamespace(surprise=lambda x: surprise, misfit=lambda x: misfit, model=model)
     library = SimpleNamespace(formed={})
     return SimpleNamespace(
         state=state, added=(kind,), misfit=misfit, error=error, content=False, x=None, library=library
@@ -673,6 +673,7 @@ def replaced(now, then, suspects=()):
         _settle=lambda state, below: seen.stands.append(then) or True,
         _note_rivals=lambda kind, behind: noted.update({kind: behind}),
         _unlikely=lambda state: steps.Steps._unlikely(seen, state),
+        _uncommon=lambda state: steps.Steps._uncommon(seen, state),
     )  # fmt: skip
     is_kept = steps.Steps._replaced(seen, now.added[0], [then.state], 6.0)
     assert seen.stands == ([then] if is_kept else [now])

@@ -326,8 +326,11 @@ class Steps(Standing):
     def _unlikely(self, state: State) -> float:
         """How unlikely a state is (−2 log likelihood, as its surprise), its effects that are not common the more: where
         the data cannot tell it from a common one, it is the common one."""
-        odd = [k for k in _kinds(state) if not (self.suspects or effect_class(k).common_in(self.believed))]
-        return state.surprise(self.stand.x) + 2 * NEAR * len(odd)
+        return state.surprise(self.stand.x) + 2 * NEAR * self._uncommon(state)
+
+    def _uncommon(self, state: State) -> int:
+        """How many effects of a state few movies have, unless the user has named those that are considered."""
+        return 0 if self.suspects else sum(not effect_class(k).common_in(self.believed) for k in _kinds(state))
 
     def _replaced(self, kind: str, tries: Sequence[State], more: float) -> bool:
         """Settle the best of `tries`, in each of which something else is in the place of an effect, unless it leaves so
@@ -335,7 +338,13 @@ class Steps(Standing):
         stand, unlikely = self.stand, self._unlikely(self.state)
         tries = sorted(tries, key=self._unlikely)
         margin = more if more < 0 else 0.0 if stand.content else 2 * NEAR
-        if not tries or self._unlikely(tries[0]) > unlikely + margin:
+        if not tries:
+            return False
+        commoner = self._uncommon(tries[0]) < self._uncommon(stand.state)
+        is_near = (
+            commoner and tries[0].misfit(stand.x) < stand.misfit + more
+        )  # what is begun looks less likely than it is
+        if not is_near and self._unlikely(tries[0]) > unlikely + margin:
             return False
         if not self._settle(tries[0], below=stand.misfit + more):
             return False
