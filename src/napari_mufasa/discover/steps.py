@@ -22,6 +22,7 @@ from napari_mufasa.discover.rules import (
     REMOVALS,
     RIVALS,
     START,
+    UNCOMMON,
 )
 from napari_mufasa.discover.stand import Case, Stand, Worth, are_rivals
 from napari_mufasa.discover.standing import Standing
@@ -324,9 +325,9 @@ class Steps(Standing):
             self.stands[-1] = stand.knowing(kind, replace(worth, rivals={**worth.rivals, **near}))
 
     def _unlikely(self, state: State) -> float:
-        """How unlikely a state is (−2 log likelihood, as its surprise), its effects that are not common the more: where
-        the data cannot tell it from a common one, it is the common one."""
-        return state.surprise(self.stand.x) + 2 * NEAR * self._uncommon(state)
+        """How unlikely a state is (−2 log likelihood, as its surprise), the more so the more uncommon effects it has:
+        where the data cannot tell an uncommon effect from a common one, it is the common one."""
+        return state.surprise(self.stand.x) + UNCOMMON * self._uncommon(state)
 
     def _uncommon(self, state: State) -> int:
         """How many effects of a state few movies have, unless the user has named those that are considered."""
@@ -340,10 +341,9 @@ class Steps(Standing):
         margin = more if more < 0 else 0.0 if stand.content else 2 * NEAR
         if not tries:
             return False
+        # The few simulations around a start are wide: what is begun looks less likely than it is.
         commoner = self._uncommon(tries[0]) < self._uncommon(stand.state)
-        is_near = (
-            commoner and tries[0].misfit(stand.x) < stand.misfit + more
-        )  # what is begun looks less likely than it is
+        is_near = commoner and tries[0].misfit(stand.x) < stand.misfit + more
         if not is_near and self._unlikely(tries[0]) > unlikely + margin:
             return False
         if not self._settle(tries[0], below=stand.misfit + more):
