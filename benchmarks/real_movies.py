@@ -1,4 +1,4 @@
-"""Real movies through `diagnose`, from a model without bleaching, triplet or heterogeneity: as they come out.
+"""Real movies through `diagnose`, from models without triplet states or heterogeneity: as they come out.
 
     python -m benchmarks.real_movies            prints what docs/real_movies.md shows
     python -m benchmarks.real_movies --write    and puts each movie's section there, its errors into results/

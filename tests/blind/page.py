@@ -29,7 +29,9 @@ def page(rows: Sequence[Row], command: str) -> str:
 
 `{command}` wrote this page, from rows of `python -m tests.blind.trial`; a row is one movie of the independent
 generator (`tests/blind`), diagnosed without its truth.
-{how_many(rows)} State of the code: {states}.
+{how_many(rows)} Rows of several states of the code stand beside one another: {states}.
+
+*First*: a hidden effect heads the ranking. *Exactly right*: all that is hidden is named, and nothing else.
 
 {summary(rows)}
 ## The cases

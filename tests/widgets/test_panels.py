@@ -227,6 +227,14 @@ def test_camera_type_brings_or_takes_the_em_gain(viewer, open_panel):
     assert session.model.camera.em_gain is None
 
 
+def test_a_camera_is_measured_as_the_counts_tell_until_its_type_is_chosen(viewer, open_panel):
+    panel = open_panel(CameraPanel, viewer)
+    kind = panel.form.camera_type
+    assert kind.value is None and kind.native.isVisibleTo(panel)
+    pick(panel.editor.form["type"], "CMOS")
+    assert kind.value == "CMOS"
+
+
 def test_a_camera_without_a_register_has_no_excess_noise_of_one(viewer, open_panel):
     panel = open_panel(ModelPanel, viewer)
     session = session_of(viewer)

@@ -127,7 +127,9 @@ def propose(
 
 
 def infer(
-    traces: Annotated[Path, typer.Argument(metavar="TRACES", help="CSV, TIFF, HDF5 or .traces, whole movies.")],
+    traces: Annotated[
+        Path, typer.Argument(metavar="TRACES", help="CSV, TIFF, HDF5, OpenFRET .json or .traces, whole movies.")
+    ],
     model: ModelFile,
     out: Annotated[Path, typer.Option("--out", metavar="model.json", help="The model with what was inferred.")],
     unit: TraceUnit = None,

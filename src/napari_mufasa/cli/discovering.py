@@ -52,7 +52,10 @@ def diagnose(
     seed: Seed = 1,
     budget: Budget = None,
     traces: Annotated[
-        bool, typer.Option("--traces", help="MOVIE is a table of traces instead: CSV, TIFF, HDF5 or .traces.")
+        bool,
+        typer.Option(
+            "--traces", help="MOVIE is a table of traces instead: CSV, TIFF, HDF5, OpenFRET .json or .traces."
+        ),
     ] = False,
     unit: TraceUnit = None,
     profile: TraceProfile = None,

@@ -220,7 +220,9 @@ def compare(
     model: ModelFile,
     out: OutFolder,
     movie: Annotated[Path | None, typer.Argument(metavar="[MOVIE]", help="A movie, or --traces instead.")] = None,
-    traces: Annotated[Path | None, typer.Option("--traces", metavar="FILE", help="CSV, TIFF, HDF5 or .traces.")] = None,
+    traces: Annotated[
+        Path | None, typer.Option("--traces", metavar="FILE", help="CSV, TIFF, HDF5, OpenFRET .json or .traces.")
+    ] = None,
     dark: DarkFile = None,
     unit: TraceUnit = None,
     profile: TraceProfile = None,

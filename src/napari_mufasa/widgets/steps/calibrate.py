@@ -78,7 +78,7 @@ class CameraPanel(Panel):
     words = "The camera that recorded the movie. It is used in every later step."
     run_label, running = "Measure it on the movie", "Measuring the camera"
     form_factory = calibrate_widget
-    hidden = ("dark_frames", "camera_type")
+    hidden = ("dark_frames",)
 
     def build(self) -> None:
         self.source = ModelEdit(session=self.session)
@@ -133,4 +133,6 @@ class CameraPanel(Panel):
             self.picture.draw(drawing("calibration", found, whole=True))
 
     def _refresh(self) -> None:
-        self.form.camera_type.value = self.session.model.camera.type
+        """The type believed, once anyone has said one: that of the model the viewer begins with is no belief."""
+        model = self.session.model
+        self.form.camera_type.value = model.camera.type if self.session.model_chosen else None
