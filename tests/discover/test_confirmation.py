@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 import napari_mufasa as nm
+from napari_mufasa.discover import confirmation
 from napari_mufasa.effects import effect_class
 from napari_mufasa.report.words import check_lines, summary
 
@@ -61,6 +62,18 @@ def test_parameters_that_do_not_agree_are_told(here):
     (row,) = found["parameters"]
     assert not row["agree"] and found["both"] == ["row_noise"]
     assert any(line.startswith("Row read-out noise, ") and "there" in line for line in check_lines(found))
+
+
+def test_effects_believed_of_the_whole_field_are_seen_from_the_half_that_is_checked(here, monkeypatch):
+    """The left half lies in columns 0 to 2 of its own width, the right one in −1 to 1."""
+    carried = []
+    monkeypatch.setattr(confirmation, "diagnose", lambda movie, model, *_, **__: replace(here, model=model))
+    monkeypatch.setattr(confirmation, "_carried", lambda completed, *_, **__: carried.append(completed) or (1.0, 1.0))
+    movie = nm.simulate(model(), seed=5).movie
+    nm.confirm_halves(movie, model().with_effects(effect_class("illumination_profile")()))
+    assert carried[0].effects_refer_to.columns == (-1.0, 1.0)
+    nm.confirm_halves(movie, model())
+    assert carried[1].effects_refer_to is None
 
 
 @pytest.mark.parametrize(

@@ -106,9 +106,9 @@ def test_as_many_leads_are_taken_up_as_the_budget_affords():
     stand = SimpleNamespace(content=False, alarmed=True, far_off=True, promising=lambda but: leads)
     inquiry = SimpleNamespace(
         stand=stand, chosen=[], look=lambda: None, widen=lambda: False, affords=lambda n: n + 2 * len(taken) <= 2,
-        take_up=lambda these: taken.append(len(these)) or set(),
+        room=None, take_up=lambda these: taken.append(len(these)) or set(),
     )  # fmt: skip
-    automatic._climb(inquiry, None, {})
+    automatic._climb(inquiry, {})
     assert taken == [2]
 
 
@@ -486,6 +486,7 @@ class Climb:
         return False
 
     deepen = merge = begin_afresh = widen
+    room = None
 
     def arrive(self):
         pass
@@ -532,9 +533,9 @@ def test_other_forms_come_first_where_they_promise_more_than_all_that_waits():
 class TwoWays(Climb):
     """One effect by either way; the second leaves so much error."""
 
-    def __init__(self, second, content=False, far_off=(0,)):
+    def __init__(self, second, content=False, far_off=(0,), begins=True):
         super().__init__(["one"], far_off)
-        self.second, self.content = second, content
+        self.second, self.content, self.begins = second, content, begins
 
     @property
     def stand(self):
@@ -547,7 +548,7 @@ class TwoWays(Climb):
     def begin_afresh(self):
         self.told.append("afresh")
         self.stands = [SimpleNamespace(error=self.second)]
-        return True
+        return self.begins
 
 
 @pytest.mark.parametrize(("second", "kept"), [(1.4, 1.4), (1.6, 1.5)])
@@ -561,6 +562,39 @@ def test_what_a_first_way_leaves_unexplained_is_gone_at_a_second_time_with_half_
     cheap = TwoWays(second)
     cheap.bench.is_cheap = True  # values are matched again beside every effect: one way has all the budget
     assert play(cheap, None) == ["0 of 100 kept", "take up one", "judge", "judge"]
+
+
+def test_a_second_way_that_does_not_begin_leaves_the_first():
+    """All that was taken up afresh came to nothing, and the model believed is near: it had become the finding."""
+    both = TwoWays(second=2.0, far_off=(), begins=False)
+    assert "afresh" in play(both, None) and both.stands[-1].error == 1.5
+
+
+def test_no_more_effects_are_added_than_are_allowed():
+    inquiry = investigation()
+    assert inquiry.room is None
+    inquiry.most_effects = 1
+    inquiry.stands = [SimpleNamespace(added=())]
+    assert inquiry.room == 1
+    for added in (("row_noise",), ("row_noise", "laser_drift")):  # the latter were added by hand
+        inquiry.stands = [SimpleNamespace(added=added)]
+        assert inquiry.room == 0
+
+
+def test_what_is_added_with_values_is_read_off_where_they_do_not_say(monkeypatch, inquiry):
+    """A drift of 2 px was fitted along 45°, the default, though the spots went along 90°."""
+    begun_with = []
+
+    def begin(library, state, starts, x):
+        begun_with.extend(starts)
+        raise nm.MufasaError("far enough")
+
+    monkeypatch.setattr("napari_mufasa.discover.investigation.begun", begin)
+    monkeypatch.setattr(inquiry.bench, "read_off", lambda *_: {"direction_deg": 90.0, "step_at": 0.25})
+    with pytest.raises(nm.MufasaError, match="far enough"):
+        inquiry.add(effect_class("stage_drift")(distance_px=2.0, step_at=0.6))
+    (start,) = begun_with
+    assert (start.distance_px, start.direction_deg, start.step_at) == (2.0, 90.0, 0.6)
 
 
 @pytest.mark.parametrize(("far_off", "on"), [((), True), ((1,), False)])

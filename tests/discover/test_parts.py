@@ -11,7 +11,7 @@ import napari_mufasa as nm
 from napari_mufasa.discover import metric, nuisance
 from napari_mufasa.discover.coordinates import changed, model_at, room
 from napari_mufasa.discover.derivatives import free_steps
-from napari_mufasa.discover.library import as_seen, ray_settings
+from napari_mufasa.discover.library import as_seen, ray_settings, read_by_halves
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.reporting import detectable, sure_of_names
@@ -252,6 +252,18 @@ def test_the_floor_is_the_error_of_a_right_model_whose_pattern_is_read_off_one_h
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.055)
 
 
+@pytest.mark.parametrize(("shown", "differs"), [((), False), ((0.0, 0.5, 1.0), True)])
+def test_a_half_that_shows_no_course_is_judged_with_that_of_the_whole(shown, differs):
+    """Fewer than ten molecules of a half show no course of the focus; one at random would be another effect."""
+    drift = effect_class("focus_drift")(form="wandering", course=(0.0, 1.0, 0.2))
+    model = nm.preset("PALM").with_effects(drift)
+    rows = np.zeros((3, 3, 4))
+    halves = SimpleNamespace(
+        bench=SimpleNamespace(read_off=lambda *_: {"course": shown}), simulated=lambda jobs: np.ones((len(jobs), 3, 4))
+    )
+    assert bool(read_by_halves(halves, model, "focus_drift", rows)) == differs
+
+
 def test_null_laws_fit_their_own_samples():
     rng = np.random.default_rng(6)
     evidence, misfit = rng.gumbel(5, 3, 4000), rng.gamma(40, 2, 4000)
@@ -381,6 +393,18 @@ def test_what_would_have_been_seen_is_told_from_where_there_is_none_of_it():
     assert told == {"em_excess_noise": pytest.approx(2 + 0.12 * 0.8)}  # the first step beyond 5.91 / 80 of the way
     stand.needed = lambda _: 1e6
     assert detectable(SimpleNamespace(state=state, stand=stand)) == {"em_excess_noise": None}
+
+
+def test_most_settings_would_have_been_seen_at_the_strength_that_is_told():
+    """Of three settings one would not be seen in range: the weaker of the other two is not what most would show."""
+    state, shift = toy_state(), np.zeros((3, 25))
+    shift[:, 5:9] = 1.0
+    rows = effect_class("row_noise")
+    rays = [Ray(rows(rms_adu=10.0), far * shift, 0.0) for far in (80.0, 8.0, 0.1)]
+    stand = SimpleNamespace(needed=lambda _: 25.0, library=SimpleNamespace(rays={"row_noise": rays}))
+    told = detectable(SimpleNamespace(state=state, stand=stand))["row_noise"]
+    stand.library.rays["row_noise"] = rays[1:2]
+    assert told == detectable(SimpleNamespace(state=state, stand=stand))["row_noise"] > 1.0
 
 
 def test_a_name_is_as_sure_as_its_evidence_its_rivals_and_the_share_of_the_error_that_it_takes_away():

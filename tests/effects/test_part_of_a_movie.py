@@ -10,7 +10,7 @@ from napari_mufasa.discover.read_off import told_for
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.extent import Extent
 from napari_mufasa.model.model import Model
-from napari_mufasa.simulate.movie import simulate
+from napari_mufasa.simulate.movie import simulate, simulate_dark
 
 from .helpers import effect, plain, scene_of
 
@@ -82,6 +82,22 @@ def test_a_model_comes_back_from_the_part_that_a_diagnosis_looked_at():
     assert again.effects_refer_to is None and again.effects == found.effects
     assert Model.from_dict(whole.to_dict()) == whole
     assert bench.restored(measured.model, truth).effects_refer_to is None
+
+
+def test_the_completed_model_is_that_of_the_movie_whatever_the_length_and_shape_of_the_model_believed():
+    """A model.json of 1000 frames of 64 × 64 px, a movie of 700 of 110 × 130, the first 6 of them without light."""
+    truth = plain(n_frames=700, shape=(110, 130), **{"sample.n_molecules": 60})
+    believed = plain(n_frames=1000, shape=(64, 64), **{"sample.n_molecules": 60})
+    movie = np.concatenate([simulate_dark(truth, 6, seed=2), simulate(truth, seed=1).movie[:694]])
+    measured = prepare(movie, believed)
+    assert measured.whole == (694, 110, 130)
+    found = measured.model.with_effects(effect("laser_drift"))
+    whole = MovieBench(measured, seed=1).restored(found, believed)
+    assert (whole.acquisition.n_frames, whole.acquisition.shape_px) == (694, (110, 130))
+    assert whole.effects_refer_to is not None and whole.effects_refer_to.frames == pytest.approx((0, 594 / 694))
+    assert whole.sample.n_molecules == pytest.approx(
+        found.sample.n_molecules * 110 * 130 / np.prod(found.acquisition.shape_px), abs=1
+    )
 
 
 def test_a_drift_found_in_the_first_frames_is_that_of_the_whole_movie():

@@ -250,6 +250,16 @@ def test_what_a_half_shows_is_told_in_the_scale_of_the_whole(name):
     assert in_scale_of({name: ()}, half) == half and in_scale_of(whole, {name: ()}) == {name: ()}
 
 
+def test_the_course_of_a_half_points_where_that_of_the_whole_does():
+    """Light that rises as far as it falls: the size of an effect is that where its course is farthest from 0."""
+    whole = (0.0, 0.5, 1.0, 0.0, -0.99)
+    half = in_scale_of({"course": whole}, {"course": (0.0, 0.5, 0.97, 0.0, -1.0)})["course"]
+    assert max(half, key=abs) > 0
+    np.testing.assert_allclose(half, whole, atol=0.05)
+    falling = in_scale_of({"course": tuple(-np.array(whole))}, {"course": (0.0, -0.5, -0.97, 0.0, 1.0)})["course"]
+    np.testing.assert_allclose(falling, -np.array(half))
+
+
 @pytest.mark.parametrize("axis_deg", [20.0, 135.0])
 def test_the_axis_of_astigmatism_is_read_off(axis_deg):
     values = {"acquisition.shape_px": (96, 96), "sample.n_molecules": 30, "sample.min_distance_px": 8}

@@ -106,21 +106,23 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
     ends it, it goes on with what is left. The one that leaves less error is kept, and what was spared in it for the
     budget's sake is judged; its values are told from where they have come to. Where simulations are cheap, one way has
     all the budget: values are matched again beside every effect there, which leaves them less room to go astray."""
+    inquiry.most_effects = max_effects
     inquiry.examine()
     ranking = inquiry.rank(0)
     twice = not inquiry.bench.is_cheap
     inquiry.reserve = inquiry.left // 2 if twice else 0
     if not inquiry.affords(1):  # a second way begins with what the first has found
         inquiry.reserve = 0
-    _one_way(inquiry, max_effects)
+    _one_way(inquiry)
     cut_short = twice and inquiry.chosen and not inquiry.affords(1)
     inquiry.reserve = 0
     if cut_short and inquiry.affords(1) and not inquiry.stand.far_off:
-        _one_way(inquiry, max_effects)
+        _one_way(inquiry)
     first_way = inquiry.stands
     unexplained = inquiry.chosen and not inquiry.stand.content
-    if twice and unexplained and (inquiry.begin_afresh() or inquiry.stand.far_off):
-        _one_way(inquiry, max_effects)
+    if twice and unexplained:
+        if inquiry.begin_afresh() or inquiry.stand.far_off:
+            _one_way(inquiry)
         inquiry.stands = min(first_way, inquiry.stands, key=lambda stands: stands[-1].error)
     inquiry.prune()
     if inquiry.chosen and inquiry.stand.content:
@@ -132,13 +134,13 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
     return inquiry.report()
 
 
-def _one_way(inquiry: Investigation, max_effects: int | None) -> None:
+def _one_way(inquiry: Investigation) -> None:
     """What explains the misfit is taken up together and fitted together until nothing more promises anything; what does
     not earn its place goes again, and another look is taken, until all that is left has earned it, or the budget is
     spent. Nothing is judged far from the floor while a second way is to come."""
     dismissed: dict[str, set[str]] = {}  # kinds taken out again, and beside which others
     while True:
-        _climb(inquiry, max_effects, dismissed)
+        _climb(inquiry, dismissed)
         too_early = inquiry.reserve and inquiry.stand.far_off
         dropped = set[str]() if too_early else inquiry.prune()
         _dismiss(dismissed, dropped, inquiry)
@@ -146,7 +148,7 @@ def _one_way(inquiry: Investigation, max_effects: int | None) -> None:
             break
 
 
-def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str, set[str]]) -> None:
+def _climb(inquiry: Investigation, dismissed: dict[str, set[str]]) -> None:
     """Take up what promises something, or other forms of what is in the model where they promise more, until nothing
     does; drop what is surely useless on the way."""
     while True:
@@ -158,8 +160,7 @@ def _climb(inquiry: Investigation, max_effects: int | None, dismissed: dict[str,
         stand, known = inquiry.stand, set(inquiry.chosen)
         but = {kind for kind, beside in dismissed.items() if known <= beside}
         leads = stand.promising(but) if stand.alarmed or known else []
-        if max_effects is not None:
-            leads = leads[: max(max_effects - len(known), 0)]
+        leads = leads[: inquiry.room]
         if (known or not leads) and inquiry.widen():
             continue
         if not leads:

@@ -126,6 +126,8 @@ def confirm(
     movie = checks.stack(movie)
     there = diagnose(movie, model, dark, seed=seed, effects=effects, budget=budget, **steering)
     completed = here.model.in_shape(n_frames=movie.shape[0], shape_px=tuple(movie.shape[1:]), maps=model.camera)
+    if model.effects_refer_to is not None:  # those believed speak of another part of this movie than of the first
+        completed = completed.referring_to(model.effects_refer_to)
     carried, floor = _carried(completed, movie, dark, here.chosen, seed, **steering)
     error = {"before": there.error["before"], "carried": carried, "after": there.error["after"], "floor": floor}
     return Confirmation(here, there, error)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
 from napari_mufasa.discover import joint
+from napari_mufasa.discover.coordinates import changed
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
@@ -85,7 +86,8 @@ class Investigation(Steps):
         return self.ranking
 
     def add(self, *what: str | Effect | Candidate) -> None:
-        """Fit effects into the model as it stands, together with all that is in it already."""
+        """Fit effects into the model as it stands, together with all that is in it already. An `Effect` starts from its
+        values; what the measurement shows directly is read off unless it was given."""
         stand = self.stand
         kinds = [w if isinstance(w, str) else w.effect if isinstance(w, Candidate) else w.kind for w in what]
         for kind in kinds:
@@ -94,7 +96,9 @@ class Investigation(Steps):
         state = stand.state
         for kind, one in zip(kinds, what, strict=True):
             if isinstance(one, Effect):
-                state = begun(stand.library, state, [one], stand.x)
+                seen = self.bench.read_off(kind, state.model)
+                unsaid = {name: value for name, value in seen.items() if name not in one.model_fields_set}
+                state = begun(stand.library, state, [changed(one, unsaid)], stand.x)
             elif kind in stand.leads:
                 state = started(stand.library, state, stand.leads[kind], stand.x)
             else:  # not among those considered so far

@@ -159,7 +159,10 @@ def read_by_halves(library: Library, model: Model, kind: str, rows: Array) -> di
     change = {}
     for half, _ in HALVES:
         seen = library.bench.read_off(kind, _without(model, kind), PARTS[half])
-        other = changed(effect, {name: value for name, value in seen.items() if effect.matters(name)})
+        told = {name: value for name, value in seen.items() if effect.matters(name)}
+        if any(value == () != getattr(effect, name) for name, value in told.items()):
+            continue  # too little for this half to show it; a course at random in its place would be another effect
+        other = changed(effect, told)
         if other != effect:
             effects = tuple(other if e.kind == kind else e for e in model.effects)
             there = model.model_copy(update={"effects": effects})

@@ -29,13 +29,14 @@ ALL_OVER = 0.5  # … if it comes on all over the field: so much of its mean in 
 @dataclass(frozen=True)
 class Measurement:
     """movie (frame, y, x) and dark (frame, y, x) or None, both uint16 ADU; the model in the movie's own shape; which
-    part they are of the whole."""
+    part they are of the whole, and the shape of that: the lit frames, y, x."""
 
     movie: NDArray[np.uint16]
     dark: NDArray[np.uint16] | None
     model: Model
     notes: tuple[str, ...]
     part: Extent
+    whole: tuple[int, int, int]
 
 
 def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
@@ -73,7 +74,7 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         dark_data = _counts(np.asarray(dark[:DARK_FRAMES, rows, columns]), "dark stack", model)
     whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
     here = whole.in_shape(region=region).with_values({"sample.layout": "random"})
-    return Measurement(data, dark_data, here, tuple(notes), Extent.of(region, shape))
+    return Measurement(data, dark_data, here, tuple(notes), Extent.of(region, shape), shape)
 
 
 def cropped(model: Model) -> Model:

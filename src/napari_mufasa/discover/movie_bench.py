@@ -209,12 +209,13 @@ class MovieBench(Bench[Observation]):
         return {}
 
     def restored(self, model: Model, believed: Model) -> Model:
-        """The measurement's crop undone, density per area kept; effects still speak of the part that was measured."""
-        area = np.prod(believed.acquisition.shape_px) / np.prod(model.acquisition.shape_px)
+        """The measurement's crop undone, density per area kept: a model of the whole movie, in its own shape. Effects
+        still speak of the part that was measured."""
+        n_frames, height, width = self.measurement.whole
+        area = height * width / np.prod(model.acquisition.shape_px)
         molecules = max(1, round(model.sample.n_molecules * float(area)))
         sample = believed.sample.model_copy(update={"n_molecules": molecules})
-        timing = believed.acquisition
-        whole = model.in_shape(n_frames=timing.n_frames, shape_px=timing.shape_px, maps=believed.camera)
+        whole = model.in_shape(n_frames=n_frames, shape_px=(height, width), maps=believed.camera)
         extent = (model.effects_refer_to or Extent()).placed_in(self.measurement.part)
         return whole.model_copy(update={"sample": sample}).referring_to(extent)
 

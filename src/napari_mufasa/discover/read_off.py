@@ -39,6 +39,7 @@ FIFTHS = 5
 FINER, NEARBY, FEWEST_CYCLES = 8, 20, 4  # of a spectrum: grid over that of the movie's length, width of what is nearby
 HARMONICS = 15  # of a swing of any shape, at most
 PEAK = 40.0  # sum of two spectra over what is usual: of 4000 flickers or drifts at most 4 reach it
+NOT_AS_FAR = 0.99  # of the way to the farthest value of a course, on the other side of 0
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variate
 
 
@@ -50,13 +51,18 @@ def read_off(kind: str, observation: Observation) -> dict[str, Any]:
 
 def in_scale_of(whole: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
     """What a part of the field shows, its course and relief in the scale of what the whole field shows: where they are
-    0 and ±1 hangs on single values and their noise. (Least squares of the whole's values on the part's.)"""
+    0 and ±1 hangs on single values and their noise. (Least squares of the whole's values on the part's.) It is farthest
+    from 0 on the same side, for that is the way that an effect's size points."""
     found = dict(part)
     for name in ("course", "seen"):
         here, there = np.array(part.get(name, ())), np.array(whole.get(name, ()))
         if here.size and there.size and np.ptp(here) > 0:
             slope, offset = np.polyfit(here, _resampled(there, 0, (0.0, 1.0), len(here)), 1)
-            found[name] = tuple((offset + slope * here).round(4).tolist())
+            values = offset + slope * here
+            if name == "course":
+                side = np.sign(max(there, key=abs))
+                values = side * np.maximum(side * values, -NOT_AS_FAR * max((side * values).max(), 0.0))
+            found[name] = tuple(values.round(4).tolist())
     return found
 
 

@@ -156,7 +156,8 @@ def detectable(inquiry: Standing) -> dict[str, float | None]:
                 if power - 0.84 * 2 * np.sqrt(power) > threshold:
                     distances.append(scale * abs(float(getattr(ray.effect, ray.effect.strength)) - ray.none))
                     break
-        found[kind] = rays[0].none + float(np.median(distances)) if len(distances) > len(rays) / 2 else None
+        # The middle one of all settings, those that would not be seen being the farthest.
+        found[kind] = rays[0].none + sorted(distances)[len(rays) // 2] if len(distances) > len(rays) / 2 else None
     return found
 
 

@@ -22,7 +22,7 @@ class Standing:
     kinds : of effects considered · further : those considered where they leave the model far off its floor
     suspects : the only kinds that its user has asked for; () where the catalogue is searched
     ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent ·
-    reserve : those of them that are kept for later
+    reserve : those of them that are kept for later · most_effects : that are added (None: as many as earn their place)
     """
 
     def __init__(
@@ -34,6 +34,7 @@ class Standing:
         self.suspects: tuple[str, ...] = ()
         self.budget = min(BUDGET, BUDGET_VALUES // bench.size) if budget is None else budget
         self.reserve = 0
+        self.most_effects: int | None = None
         self.stands: list[Stand] = []
         self.ranking: list[Candidate] = []
 
@@ -78,6 +79,11 @@ class Standing:
     def left(self) -> int:
         """Simulations that may still be spent, but for the reserve and those that a report takes."""
         return self.budget - self.reserve - self.bench.done - TELLING
+
+    @property
+    def room(self) -> int | None:
+        """How many effects more may be added; None: any number."""
+        return None if self.most_effects is None else max(self.most_effects - len(self.chosen), 0)
 
     def affords(self, n_effects: int) -> bool:
         """Whether so many effects can be started and settled within the budget, with one step downhill at least; and

@@ -172,7 +172,7 @@ class Steps(Standing):
                 tries.append(state)
             if self._replaced(kind, tries, least):
                 return True
-        pairs = formed.items() if waiting is None else ()
+        pairs = formed.items() if waiting is None and self.room != 0 else ()
         return any(
             self.affords(2) and self._replaced(kind, self._begun_beside(state, kind), least) for kind, state in pairs
         )

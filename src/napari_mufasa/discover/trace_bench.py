@@ -142,7 +142,8 @@ class TraceBench(Bench[TraceNumbers]):
         molecule's by what comes nearest to the table at all time scales (W1)."""
         if self.background_subtracted:
             for turn in range(LEVEL_ROUNDS):
-                ratio = self._level / _level(self._simulated.traces(model, self._matching_seed + turn))
+                level = _level(self._simulated.traces(model, self._matching_seed + turn))
+                ratio = self._level / max(level, 1e-3 * self._level, 1e-9)  # a model far too dim shows none
                 model = _with_light(model, model.optics.brightness_correction * float(np.clip(ratio, 0.2, 5.0)), None)
             return model
         wanted = float(self._electrons.mean())
