@@ -176,8 +176,8 @@ def standing_lines(report: Report) -> list[str]:
     unsure = {kind: sure for kind, sure in report.inclusion.items() if sure < DOUBTFUL and kind not in named}
     if unsure:
         names = listed(f"{in_text(kind)} ({_percent(sure)})" for kind, sure in unsure.items())
-        without = "Without it not much more would be off than is off now"
-        lines.append(f"Not sure: {names}. {without}: it may stand in for what nothing explains.")
+        left = "What nothing explains is more than half of what each takes away"
+        lines.append(f"Not sure: {names}. {left}, and may be what it stands in for.")
     for kinds in report.alternatives:
         lines.append(f"One of these, and the data cannot tell which: {listed((in_text(k) for k in kinds), 'or')}.")
     if report.chosen and report.remaining:
