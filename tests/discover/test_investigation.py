@@ -689,6 +689,15 @@ def test_where_misfit_is_left_a_rival_is_harder_to_tell_apart(birge, told):
     assert seen.stands[-1].worths["laser_drift"].rivals == {"photobleaching": 1.0} | told
 
 
+def test_a_rival_that_its_fit_refutes_is_noted_no_more():
+    """It looked 1 behind as begun; by its fit it is 9."""
+    worths = {"laser_drift": Worth(500.0, 3.0, 20.0, {"photobleaching": 1.0, "laser_flicker": 2.0})}
+    stand = SimpleNamespace(birge=1.0, worths=worths, knowing=lambda kind, worth: worth)
+    seen = SimpleNamespace(stand=stand, stands=[stand])
+    steps.Steps._note_rivals(seen, "laser_drift", {"photobleaching": 9.0})
+    assert seen.stands[-1].rivals == {"laser_flicker": 2.0}
+
+
 def stand_of(kind, surprise, misfit, error=1.28):
     """A stand of one effect, as far as `_replaced` looks at it."""
     model = SimpleNamespace(effects=[SimpleNamespace(kind=kind)])
@@ -699,13 +708,13 @@ def stand_of(kind, surprise, misfit, error=1.28):
     )
 
 
-def replaced(now, then, suspects=(), begun=None):
+def replaced(now, then, suspects=(), begun=None, settles=True):
     """Whether `_replaced` keeps the second of two stands (`begun` as that state) in the place of the first, and what it
-    notes."""
+    notes; unless it `settles` its fit ends nowhere near."""
     noted = {}
     seen = SimpleNamespace(
         stand=now, state=now.state, stands=[now], suspects=suspects, believed=nm.preset("PALM"),
-        _settle=lambda state, below: seen.stands.append(then) or True,
+        _settle=lambda state, below: settles and (seen.stands.append(then) or True),
         _note_rivals=lambda kind, behind: noted.update({kind: behind}),
         _unlikely=lambda state: steps.Steps._unlikely(seen, state),
         _uncommon=lambda state: steps.Steps._uncommon(seen, state),
@@ -742,6 +751,11 @@ def test_of_two_effects_that_the_data_cannot_tell_apart_the_common_one_is_named(
     now, then = stand_of(one, 0.0, 158.0), stand_of(other, -likelier, 156.0)
     named, noted = (other, {one: 2.0}) if kept else (one, {other: -2.0})
     assert replaced(now, then, suspects) == (kept, {named: noted})
+
+
+def test_a_rival_whose_fit_ends_nowhere_near_is_told_to_be_as_far_behind_as_it_may_be():
+    now, then = stand_of("laser_drift", 0.0, 158.0), stand_of("photobleaching", -7.0, 156.0)
+    assert replaced(now, then, settles=False) == (False, {"laser_drift": {"photobleaching": 6.0}})
 
 
 @pytest.mark.parametrize(

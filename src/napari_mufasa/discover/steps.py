@@ -318,11 +318,15 @@ class Steps(Standing):
 
     def _note_rivals(self, kind: str, behind: Mapping[str, float]) -> None:
         """Note with an effect's worth what was in its place, so much `behind` it in misfit, and cannot be told from it;
-        the more misfit is left, the farther behind that may be."""
-        stand = self.stand
-        if near := {rival: by for rival, by in behind.items() if by < NEAR * stand.birge**2}:
-            worth = stand.worths[kind]
-            self.stands[-1] = stand.knowing(kind, replace(worth, rivals={**worth.rivals, **near}))
+        the more misfit is left, the farther behind that may be. What was noted before and is now seen to be farther
+        behind is noted no more."""
+        if not behind:
+            return
+        stand, worth = self.stand, self.stand.worths[kind]
+        rivals = {**worth.rivals, **behind}
+        near = {rival: by for rival, by in rivals.items() if by < NEAR * stand.birge**2}
+        if near != worth.rivals:
+            self.stands[-1] = stand.knowing(kind, replace(worth, rivals=near))
 
     def _unlikely(self, state: State) -> float:
         """How unlikely a state is (−2 log likelihood, as its surprise), the more so the more uncommon effects it has:
@@ -346,11 +350,13 @@ class Steps(Standing):
         is_near = commoner and tries[0].misfit(stand.x) < stand.misfit + more
         if not is_near and self._unlikely(tries[0]) > unlikely + margin:
             return False
+        begun_here = _kinds(tries[0])
+        instead = [] if kind in begun_here else [k for k in begun_here if k not in _kinds(stand.state)]
         if not self._settle(tries[0], below=stand.misfit + more):
+            self._note_rivals(kind, dict.fromkeys(instead, more))  # it is that far behind at least
             return False
         other = self.stands.pop()
         behind = other.misfit - stand.misfit
-        instead = [] if kind in other.added else [k for k in other.added if k not in stand.added]
         if self._unlikely(other.state) > unlikely - NEAR or other.error > NOT_RISEN * stand.error:
             if tries[0] is stand.library.formed.get(kind):
                 stand.library.formed[kind] = None
