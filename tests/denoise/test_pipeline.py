@@ -197,6 +197,7 @@ def test_the_package_is_also_the_function():
         (np.zeros((2, 2, 2, 2)), {}, "4 axes"),
         (np.zeros((0, 4, 4)), {}, "empty"),
         (np.full((2, 8, 8), np.nan), {}, "not finite"),
+        (np.where(np.arange(192).reshape(3, 8, 8) == 70, np.nan, 120.0), {"method": "source"}, "not finite"),
         (np.zeros((2, 8, 8)), {"method": "magic"}, "pure-let-movie"),
         (np.array([[["a"]]]), {}, "real numbers"),
         (np.zeros((2, 8, 8)), {"out": np.zeros((2, 8, 7))}, "same shape"),

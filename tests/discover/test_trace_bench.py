@@ -97,6 +97,11 @@ def test_counts_are_what_photoelectrons_are_with_a_baseline_or_without(believed)
     assert not kept.background_subtracted and kept._electrons.mean() == pytest.approx(level / gain, rel=1e-3)
 
 
+def test_two_frames_tell_no_gain(believed):
+    model, ratio = fit_gain(np.full((4, 2), 500.0), believed)
+    assert model == believed and ratio == 1.0
+
+
 def test_a_gain_that_is_wrong_shows(believed):
     """The table is what the camera believed made of the counts: with another gain the same counts are other numbers."""
     bench = TraceBench(made(believed), believed)

@@ -71,6 +71,43 @@ def test_whole_numbers_in_a_tiff_are_adu(tmp_path):
     assert list(traces[1]) == [1, 4, 7, 10]
 
 
+def test_the_unit_that_is_asked_for_chooses_the_column(tmp_path):
+    (tmp_path / "two.csv").write_text("molecule,frame,photoelectrons,photons\n0,0,90,100\n0,1,45,50\n")
+    assert read_trace_file(tmp_path / "two.csv").traces.tolist() == [[90, 45]]
+    photons = read_trace_file(tmp_path / "two.csv", unit="photons")
+    assert photons.unit == "photons" and photons.traces.tolist() == [[100, 50]]
+
+
+@pytest.mark.parametrize(("said", "unit"), [("ADU ", "adu"), ("Photons", "photons"), ("", "photoelectrons")])
+def test_units_are_known_however_they_are_spelt(tmp_path, said, unit):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("traces", data=np.ones((2, 5))).attrs["unit"] = said
+    assert read_trace_file(tmp_path / "a.h5").unit == unit
+
+
+def test_a_unit_that_nobody_knows_is_not_guessed(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("traces", data=np.ones((2, 5))).attrs["unit"] = "counts"
+    with pytest.raises(MufasaError, match="is in 'counts': give --unit"):
+        read_trace_file(tmp_path / "a.h5")
+    assert read_trace_file(tmp_path / "a.h5", unit="adu").unit == "adu"
+
+
+def test_what_a_tiff_holds_hangs_on_the_unit_that_was_given(tmp_path):
+    """Counts as decimals are counts all the same: as recorded, one pixel with its background."""
+    import tifffile
+
+    from napari_mufasa.cli.measuring import trace_table
+
+    tifffile.imwrite(tmp_path / "a.tif", np.ones((20, 3), np.float32))
+    table = trace_table(tmp_path / "a.tif", "adu", None, None)
+    assert (table["unit"], table["profile"], table["background_subtracted"]) == ("adu", "brightest_pixel", False)
+    table = trace_table(tmp_path / "a.tif", None, None, None)
+    assert (table["unit"], table["profile"], table["background_subtracted"]) == ("photoelectrons", "psf", True)
+
+
 def test_fret_traces(tmp_path):
     donor, acceptor = np.arange(10).reshape(2, 5), 100 + np.arange(10).reshape(2, 5)
     rows = np.stack([donor[0], acceptor[0], donor[1], acceptor[1]]).astype("<i2")
@@ -91,6 +128,7 @@ def test_fret_traces(tmp_path):
         ("a.csv", "molecule,frame,photons\n0,0,1\n0,0,2\n", "once"),
         ("a.csv", "molecule,frame,photons\n", "no trace"),
         ("a.csv", "molecule,frame,photons\n0,0,nan\n", "finite"),
+        ("a.csv", "molecule,frame,photons\n0,0,1\n0,1,2\n,0,3\n,1,4\n", "without molecule or frame"),
         ("a.csv", "molecule,frame,photons\n0,0,bright\n", "readable"),
         ("a.csv", "", "readable"),
         ("a.h5", "no hdf5", "readable"),

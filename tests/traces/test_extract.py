@@ -17,6 +17,7 @@ from napari_mufasa.optics import spot_images
 from napari_mufasa.spots.aperture import aperture
 from napari_mufasa.spots.evidence import frames_needed
 from napari_mufasa.traces import Options, extract_traces
+from napari_mufasa.traces.candidates import least_edge_px
 from napari_mufasa.traces.extract import held_share
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
@@ -165,6 +166,16 @@ def test_bleaching_frame_and_window():
         assert trace.mean() > 0.7 * row.brightness  # active throughout
     others = found.molecules[~found.kept]["reason"]
     assert others.str.contains("not among the 10 best|no 30 active frames|border|never on|SNR|narrower").all()
+
+
+def test_a_molecule_that_drifts_over_the_edge_is_as_near_to_it_as_it_comes():
+    """Where the field moves by 5 px to the right, a place 3 px from the right edge ends beyond it."""
+    places, motion = np.array([[20.0, 36.5], [20.0, 3.5], [1.0, 20.0]]), np.linspace([0.0, 0.0], [0.0, 5.0], 7)
+    np.testing.assert_allclose(least_edge_px(places, motion, (40, 40)), [-2.0, 4.0, 1.5])
+    np.testing.assert_allclose(least_edge_px(places, None, (40, 40)), [3.0, 4.0, 1.5])
+    # What lies outside is read as nothing, without a complaint of numpy.
+    gone = aperture(np.array([[20.0, 90.0]]), (40, 40), 1.2, "psf")
+    assert np.all(np.isfinite(gone.weight)) and gone.weight[0] == 0
 
 
 def test_drift_is_followed():

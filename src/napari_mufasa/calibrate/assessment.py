@@ -228,10 +228,8 @@ def _check_brighter(light: Light, level: float, level_sd: float) -> None:
 def _slope(
     light: Light, level: float, level_sd: float, dark_variance: float, read: Value, correction: float, doubt: float
 ) -> tuple[Value, tuple[Array, Array]]:
-    slopes = [
-        correction * transfer.slope_through_origin(m - level, v - dark_variance)
-        for m, v in zip(light.means, light.variances, strict=True)
-    ]
+    slopes = transfer.slopes_through_origin(light.means - level, light.variances - dark_variance)
+    slopes = [correction * slope for slope in slopes]
     signal = float(np.mean(light.means)) - level
     shared = float(np.nan_to_num(level_sd)) / max(abs(signal), 1e-9)
     grown = max(float(np.mean(light.variances)) - dark_variance, 1e-9)
@@ -307,7 +305,7 @@ def _row_p_value(light: Light, of_light: Array, dark: Dark | None, dark_variance
     seen = light.rows
     expected, variance = of_light, np.full(rows.LAGS, 2 * seen.sd**2)
     if dark is not None and dark.rows is not None:
-        share = min(dark_variance / seen.variance, 1.0)
+        share = min(dark_variance / max(seen.variance, 1e-9), 1.0)  # a lone pixel has no row
         of_noise = np.zeros(rows.LAGS) if assumed.readout_kernel == () else dark.rows.row - dark.rows.column
         expected = of_light * (1 - share) + of_noise * share
         variance += 2 * (share * dark.rows.sd) ** 2

@@ -112,11 +112,16 @@ def curve(signal: Array, variance: Array) -> tuple[Array, Array]:
     return np.array([signal[b].mean() for b in bins]), np.array([variance[b].mean() for b in bins])
 
 
-def slope_through_origin(signal: Array, variance: Array) -> float:
-    """Variance over signal of the lit pixels together: a ratio of sums has no bias by the noise of single pixels."""
-    lit = signal > 0.2 * np.percentile(signal, 90)
-    total = float(signal[lit].sum())
-    return float(variance[lit].sum()) / total if total > 0 else float("nan")
+def slopes_through_origin(signals: Array, variances: Array) -> list[float]:
+    """Of each chunk (chunk, pixel) variance over signal of the lit pixels together: a ratio of sums has no bias by the
+    noise of single pixels, nor has their choice, which is by what the *other* chunks say of their light."""
+    found, together = [], signals.sum(axis=0)
+    for signal, variance in zip(signals, variances, strict=True):
+        light = together - signal if len(signals) > 1 else np.ones_like(signal)
+        lit = light > 0.2 * np.percentile(light, 90)
+        total = float(signal[lit].sum())
+        found.append(float(variance[lit].sum()) / total if total > 0 else float("nan"))
+    return found
 
 
 def mean_of(slopes: Sequence[float], relative_doubt: float, counts_each: int) -> Value:

@@ -288,11 +288,11 @@ def trace_table(
     """The traces of a file and what they hold, as keywords; a TIFF in ADU holds brightest pixels with background."""
     from napari_mufasa.files import traces as trace_files
 
-    values, found_unit = trace_files.read_traces(path)
-    raw = found_unit == "adu" and path.suffix.lower() in (".tif", ".tiff")
+    found = trace_files.read_trace_file(path, unit=unit)
+    raw = found.unit == "adu" and path.suffix.lower() in (".tif", ".tiff")
     return {
-        "traces": values,
-        "unit": unit or found_unit,
+        "traces": found.traces,
+        "unit": found.unit,
         "profile": profile or ("brightest_pixel" if raw else "psf"),
         "background_subtracted": not (raw if with_background is None else with_background),
     }

@@ -144,7 +144,7 @@ def fit_gain(traces_adu: NDArray[np.floating], model: Model) -> tuple[Model, flo
     second = np.diff(np.asarray(traces_adu, dtype=np.float64), n=2, axis=1)
     variance = float(np.mean(second**2)) / 6 - (camera.read_noise_e / camera.electrons_per_adu) ** 2
     signal = float(np.mean(traces_adu)) + 0.5 - camera.baseline_adu
-    if camera.type != "EMCCD" or signal <= 0 or variance <= 0:
+    if camera.type != "EMCCD" or signal <= 0 or not variance > 0:  # nor is it told by fewer than three frames
         return model, 1.0
     per_electron = variance / signal / multiplication_noise(camera)
     gain = max(1.0, per_electron * camera.electrons_per_adu)

@@ -219,12 +219,7 @@ class _Frames:
     def electrons(self, counts: Array, start: int, tile: tuple[slice, ...] = ()) -> NDArray[np.float32]:
         """Counts of recorded frames from `start` on, or of a tile of them, as photoelectrons."""
         camera = self.camera.of_part(*tile) if tile else self.camera
-        if counts.dtype.kind == "f" and not np.all(np.isfinite(counts)):
-            raise MufasaError(
-                f"movie frames {start} to {start + len(counts) - 1} hold values that are not finite: "
-                "crop or fill them first"
-            )
-        cam.check_counts(counts, camera)
+        _check(counts, camera, start)
         return cam.photoelectrons(counts, camera, start)
 
     def noise(self, electrons: Array, tile: tuple[slice, ...] = ()) -> Any:
@@ -345,6 +340,7 @@ class _Frames:
         """Photons of frames from `start` on by the methods that know no neighbours and learn nothing."""
         if self.method == "none":
             return cam.photons(self.electrons(counts, start), self.camera)
+        _check(counts, self.camera, start)
         return cam.photons(source_recipe(counts, self.camera, start), self.camera)
 
     def worked(self, data: Array | Reel, start: int, stop: int, size: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
@@ -404,6 +400,16 @@ def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
     elif camera.gain_map is not None:
         slope = slope * camera.gain_map.astype(np.float32)
     return np.broadcast_to(np.asarray(variance_e2 / np.square(slope), np.float32), electrons.shape)
+
+
+def _check(counts: Array, camera: Camera, start: int) -> None:
+    """Raises `MufasaError` on frames, from `start` on, that this camera cannot have recorded."""
+    if counts.dtype.kind == "f" and not np.all(np.isfinite(counts)):
+        raise MufasaError(
+            f"movie frames {start} to {start + len(counts) - 1} hold values that are not finite: "
+            "crop or fill them first"
+        )
+    cam.check_counts(counts, camera)
 
 
 def source_recipe(counts: Array, camera: Camera, first_frame: int = 0) -> NDArray[np.float32]:

@@ -59,7 +59,8 @@ def read_trace_file(path: PathLike, *, unit: Unit | None = None, channel: Channe
 
     * ``.json``: OpenFRET; `channel` chooses where there are several; counts where it says no unit
 
-    `unit` overrides what the file says. Raises `MufasaError` in one clear line.
+    `unit` overrides what the file says; of a CSV with several columns of values it chooses. Raises `MufasaError` in
+    one clear line.
     """
     path = Path(path)
     if not path.is_file():
@@ -70,7 +71,7 @@ def read_trace_file(path: PathLike, *, unit: Unit | None = None, channel: Channe
     if reader is None:
         raise MufasaError(f"cannot read traces from {path}: use one of {', '.join(sorted(_READERS))}")
     try:
-        found: TraceFile = reader(path, channel)
+        found: TraceFile = reader(path, channel, unit)
     except MufasaError:
         raise
     except Exception as error:
@@ -142,11 +143,11 @@ def hdf5_file(path: PathLike, traces: NDArray[Any], unit: Unit, ids: NDArray[np.
     write_bytes(path, content.getvalue())
 
 
-def _read_csv(path: Path, channel: Channel) -> TraceFile:
+def _read_csv(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
     import pandas as pd
 
     table = pd.read_csv(path)
-    unit = next((u for u in UNITS if u in table.columns), None)
+    unit = wanted if wanted in table.columns else next((u for u in UNITS if u in table.columns), None)
     if unit is None or not {"molecule", "frame"} <= set(table.columns):
         raise MufasaError(
             f"{path} has columns {', '.join(map(str, table.columns))}: needs molecule, frame and one of "
@@ -154,6 +155,8 @@ def _read_csv(path: Path, channel: Channel) -> TraceFile:
         )
     if table.empty:
         raise MufasaError(f"{path} holds no trace: give one row per molecule and frame")
+    if table[["molecule", "frame"]].isna().any(axis=None):
+        raise MufasaError(f"{path} has rows without molecule or frame: give both in every row, or drop those rows")
     # Windows before bleaching start at another frame for every molecule: only the order counts.
     table = table.sort_values(["molecule", "frame"])
     lengths = table.groupby("molecule")["frame"].size()
@@ -166,7 +169,7 @@ def _read_csv(path: Path, channel: Channel) -> TraceFile:
     return TraceFile(values, unit, lengths.index.to_numpy(dtype=np.int64), path)
 
 
-def _read_tiff(path: Path, channel: Channel) -> TraceFile:
+def _read_tiff(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
     import tifffile
 
     image = load(path)
@@ -177,10 +180,10 @@ def _read_tiff(path: Path, channel: Channel) -> TraceFile:
     if image.ndim != 2:
         raise MufasaError(f"{path} has shape {image.shape}: needs one image (frame, molecule); is it a movie?")
     guess: Unit = "adu" if image.dtype.kind in "ui" else "photoelectrons"
-    return TraceFile(image.T.astype(np.float64), _unit(said, guess), np.arange(image.shape[1]), path)
+    return TraceFile(image.T.astype(np.float64), _unit(path, said, guess, wanted), np.arange(image.shape[1]), path)
 
 
-def _read_hdf5(path: Path, channel: Channel) -> TraceFile:
+def _read_hdf5(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
     h5py = _h5py()
     found: dict[str, Any] = {}
 
@@ -198,10 +201,10 @@ def _read_hdf5(path: Path, channel: Channel) -> TraceFile:
         ids = np.asarray(file["molecule"]) if "molecule" in file else np.arange(len(values))
     if ids.shape != (len(values),):
         raise MufasaError(f"{path} has {ids.size} molecule ids for {len(values)} traces: needs one for each")
-    return TraceFile(values, _unit(said, "photoelectrons"), ids.astype(np.int64), path)
+    return TraceFile(values, _unit(path, said, "photoelectrons", wanted), ids.astype(np.int64), path)
 
 
-def _read_fret(path: Path, channel: Channel) -> TraceFile:
+def _read_fret(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
     raw = path.read_bytes()
     if len(raw) < 6:
         raise MufasaError(f"{path} is too short for a .traces file: copy it anew")
@@ -233,14 +236,19 @@ def _read_peaks(path: Path, n_traces: int, channel: Channel) -> NDArray[np.float
     return np.asarray(rows[:, [2, 1]])
 
 
-def _read_openfret(path: Path, channel: Channel) -> TraceFile:
+def _read_openfret(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
     values, said, ids = read_openfret(path, channel)
-    return TraceFile(values, _unit(said, "adu"), ids, path)
+    return TraceFile(values, _unit(path, said, "adu", wanted), ids, path)
 
 
-def _unit(said: Any, guess: Unit) -> Unit:
-    text = said.decode() if isinstance(said, bytes) else said
-    return next((u for u in UNITS if u == text), guess)
+def _unit(path: Path, said: Any, guess: Unit, wanted: Unit | None) -> Unit:
+    """The unit that is `wanted`, or else what the file says, or a guess where it says none."""
+    text = (said.decode() if isinstance(said, bytes) else str(said or "")).strip().lower()
+    if wanted is not None or not text:
+        return wanted or guess
+    if text not in UNITS:
+        raise MufasaError(f"{path} is in {said!r}: give --unit (unit=), one of {', '.join(UNITS)}")
+    return text
 
 
 def _h5py() -> Any:

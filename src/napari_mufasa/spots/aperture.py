@@ -72,7 +72,7 @@ def aperture(
     clean[crowded] = allowed[crowded]
     empty = ~clean.any(axis=1)
     clean[empty] = ring_inside[empty]
-    ring_weights = clean / clean.sum(axis=1, keepdims=True)
+    ring_weights = clean / np.maximum(clean.sum(axis=1, keepdims=True), 1)  # none is left of a ring outside the field
 
     background = _operator(ring, ring_weights, clean, n, height * width)
     signal = _operator(window, weights, weights != 0, n, height * width)

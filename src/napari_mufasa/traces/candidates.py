@@ -69,9 +69,8 @@ def standing(
     refine = options.position == "fit" and positions_px is None
     positions = found + (measured.shapes.shift_px if refine else 0.0)
     near = find.neighbour_px(positions, ~(outstanding < find.LEAST_PROMINENCE))
-    return Candidates(
-        positions, strength, outstanding, near, edge_px(positions, frames.shape[1:]), measured, motion, notes=notes
-    )
+    edge = least_edge_px(positions, motion, frames.shape[1:])
+    return Candidates(positions, strength, outstanding, near, edge, measured, motion, notes=notes)
 
 
 def followed(
@@ -120,6 +119,15 @@ def edge_px(positions_px: Array, shape_px: tuple[int, ...]) -> Array:
     """Distance of places (…, 2) from the edge of the field."""
     least = np.minimum(positions_px + 0.5, np.array(shape_px) - 0.5 - positions_px)
     return np.asarray(least.min(axis=-1))
+
+
+def least_edge_px(positions_px: Array, motion: Array | None, shape_px: tuple[int, ...]) -> Array:
+    """(candidate,) the least distance from the edge of the field, over all frames where the field moves by `motion`
+    (frame, 2)."""
+    if motion is None:
+        return edge_px(positions_px, shape_px)
+    ends = (edge_px(positions_px + end(axis=0), shape_px) for end in (motion.min, motion.max))
+    return np.minimum(*ends)
 
 
 def _kept_apart(path_px: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
