@@ -71,7 +71,7 @@ def asked(rows: Sequence[Row]) -> list[Line]:
         _shares("three to five: effects found", many, right, hidden, "≥ 85 %"),
         _shares("three to five: wrong names of those given", many, wrong, _chosen, "≤ 5 %"),
         _count(f"three to five: error after ≤ {AT_FLOOR} floors", many, at_the_floor, "≥ 80 %"),
-        _count("three to five: `missing_effect` where the error is", at_floor, missing_effect, "all"),
+        _count(f"three to five: `missing_effect` at ≤ {AT_FLOOR} floors", at_floor, missing_effect, "all"),
         _count("… beside one off the catalogue: `unexplained`", off, unexplained, "≥ 80 %"),
         _shares("… beside one off the catalogue: effects found", off, right, hidden, "≥ 75 %"),
         _count("nothing hidden: `adequate`", group(rows, "null"), adequate, "≥ 97 % of ≥ 200"),

@@ -162,7 +162,7 @@ def test_several_effects_at_once_are_counted_one_by_one():
     lines = judging.asked(rows)
     found, wrong = line(lines, "three to five: effects found"), line(lines, "three to five: wrong names")
     assert (found.hits, found.of, wrong.hits, wrong.of) == (9, 12, 1, 10)
-    assert line(lines, "three to five: error").hits == line(lines, "`missing_effect` where the error is").of == 2
+    assert line(lines, "three to five: error").hits == line(lines, "`missing_effect` at ≤ 1.25 floors").of == 2
     assert line(lines, "`unexplained`").hits == 1
 
 

@@ -338,7 +338,5 @@ def test_of_dim_light_in_short_runs_no_pixels_are_chosen_for_their_noise(light_e
 def test_a_field_of_one_pixel_is_no_traceback():
     rng = np.random.default_rng(0)
     lit, dark = (rng.poisson(mean, (n, 1, 1)).astype(np.uint16) for mean, n in ((400, 4), (100, 8)))
-    try:
-        assert calibrate(lit, dark).slope_adu.value > 0
-    except nm.MufasaError as error:
-        assert "give" in str(error) or "record" in str(error)
+    low, high = calibrate(lit, dark).slope_adu.interval
+    assert low < 1.0 < high < np.inf  # four frames tell little: the slope of light alone is 1

@@ -243,12 +243,13 @@ def _read_openfret(path: Path, channel: Channel, wanted: Unit | None) -> TraceFi
 
 def _unit(path: Path, said: Any, guess: Unit, wanted: Unit | None) -> Unit:
     """The unit that is `wanted`, or else what the file says, or a guess where it says none."""
-    text = (said.decode() if isinstance(said, bytes) else str(said or "")).strip().lower()
+    text = (said.decode() if isinstance(said, bytes) else str(said or "")).strip()
     if wanted is not None or not text:
         return wanted or guess
-    if text not in UNITS:
-        raise MufasaError(f"{path} is in {said!r}: give --unit (unit=), one of {', '.join(UNITS)}")
-    return text
+    known = next((unit for unit in UNITS if unit == text.lower()), None)
+    if known is None:
+        raise MufasaError(f"{path} is in {text!r}: give --unit (unit=), one of {', '.join(UNITS)}")
+    return known
 
 
 def _h5py() -> Any:
