@@ -12,9 +12,9 @@ from napari_mufasa.discover.investigation import Investigation
 from napari_mufasa.discover.library import CHECK_SEED, build
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
-from napari_mufasa.discover.read_off import stands_still
 from napari_mufasa.discover.reporting import NOT_HERE
 from napari_mufasa.discover.rules import BASE_SIMULATIONS
+from napari_mufasa.discover.seen_courses import stands_still
 from napari_mufasa.effects import effect_class
 from napari_mufasa.observe.table import Meaning, Table
 

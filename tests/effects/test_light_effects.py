@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 
 from napari_mufasa import simulate, simulate_emission
-from napari_mufasa.discover.read_off import (
-    averaged,
-    course_of,
-    light_course,
-    light_period,
-    light_step,
-    relief,
-    sharpened,
-    walk_alone,
-)
+from napari_mufasa.discover.read_off import averaged, relief, sharpened
+from napari_mufasa.discover.seen_courses import course_of, light_course, light_period, light_step, walk_alone
 
 from .helpers import ccd, effect, plain, scene_of
 

@@ -18,18 +18,18 @@ from napari_mufasa.discover.bench import Bench, Job, as_table
 from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.read_off import (
-    DRIFTS,
+    COURSES,
     RELIEFS,
     background_beyond,
-    dark_course,
     drift_beyond,
     in_scale_of,
     read_off,
     relief_beyond,
-    stands_still,
+    repeats_a_course,
     told_for,
 )
 from napari_mufasa.discover.result import Curve
+from napari_mufasa.discover.seen_courses import dark_course, stands_still
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.extent import Extent
 from napari_mufasa.model.model import Model
@@ -186,10 +186,10 @@ class MovieBench(Bench[Observation]):
         return self._beyond[key]
 
     def _beside(self, kind: str, model: Model) -> Observation:
-        """The measurement as an effect is read off it: of two that drift, each is what the other leaves; and a relief
-        is what all others leave."""
-        others = {effect.kind for effect in model.effects if effect.kind != kind}
-        drifts = kind in DRIFTS and not others.isdisjoint({*DRIFTS, "background_as_measured"})
+        """The measurement as an effect is read off it: of two courses, each is what the other leaves; and a relief is
+        what all others leave."""
+        others = [effect for effect in model.effects if effect.kind != kind]
+        drifts = kind in COURSES and any(map(repeats_a_course, others))
         if not (drifts or (kind in RELIEFS and others)):
             return self.measured
         key = (drifts, model.model_dump_json())

@@ -12,10 +12,19 @@ from typing import Any
 import numpy as np
 import pywt
 from numpy.typing import NDArray
-from scipy import fft, ndimage, signal
+from scipy import ndimage, signal
 
-from napari_mufasa.discover.rules import OFF
-from napari_mufasa.effects.courses import stepwise, told
+from napari_mufasa.discover.seen_courses import (
+    course_of,
+    from_zero,
+    light_course,
+    light_period,
+    light_step_and_course,
+    pink_course,
+    walk_of,
+)
+from napari_mufasa.effects import Effect
+from napari_mufasa.effects.courses import told
 from napari_mufasa.model.extent import Extent
 from napari_mufasa.observe import Observation
 from napari_mufasa.observe.summary import mean_shape
@@ -23,12 +32,8 @@ from napari_mufasa.spots.drift import SEEN_PX
 
 Array = NDArray[np.float64]
 Reader = Callable[[Observation], dict[str, Any]]
-VALUES, FEWEST = 60, 5  # most values of a course, and frames for each: a walk is a walk, not flicker
-SLOW = 0.36  # mean square of a course's steps over its variance: of random walks 97 % have less, of 1/f noise 1.5 %
 LEAST_WEIGHT = 1e-6  # of known tiles under the smoothing window; less: too far from all of them
-TELLS_WALK = 20  # frames over which white noise passes for a walk in 2 of 100 dark series, fewer where there are more
-SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴; and
-# a map's over that which a model's own random patterns give it
+MORE_THAN_PATTERNS = 5.0  # variance of a map over that which a model's own random patterns give it
 FEWEST_TILES = 12  # of the background's map that tell a relief
 RELIEF = 0.5  # variance of the smoothed map over that of what smoothing takes away: white noise on 12 × 12 tiles
 # reached 0.42 at most in 20 000 draws, on 6 × 6 tiles one in 80 passes
@@ -36,9 +41,6 @@ CURVATURE = np.outer((1, -2, 1), (1, -2, 1))  # of it 36 times the variance of w
 NOISE_LOST = 0.76  # of the variance of white noise, that an average over tiles takes away
 PATH_VALUES, PRECISE_PX = 30, 0.03  # most values of a path, and how precise each should be
 FIFTHS = 5
-FINER, NEARBY, FEWEST_CYCLES = 8, 20, 4  # of a spectrum: grid over that of the movie's length, width of what is nearby
-HARMONICS = 15  # of a swing of any shape, at most
-PEAK = 40.0  # sum of two spectra over what is usual: of 4000 flickers or drifts at most 4 reach it
 NOT_AS_FAR = 0.99  # of the way to the farthest value of a course, on the other side of 0
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variate
 
@@ -95,133 +97,6 @@ def _resampled(values: Array, axis: int, bounds: tuple[float, float], cells: int
 
 def _plain(value: Any) -> Any:
     return tuple(value.tolist()) if value.ndim else float(value)
-
-
-def course_of(readings: Array) -> dict[str, Any]:
-    """`course` from independent readings (reading, time) of it; () where they do not agree that anything changed."""
-    mean = readings.mean(axis=0)
-    noise = readings.var(axis=0, ddof=1).mean() / len(readings)
-    if not np.isfinite(mean).all() or mean.var() < SEEN * noise:
-        return {"course": ()}
-    return _from_zero(mean)
-
-
-def _from_zero(values: Array) -> dict[str, Any]:
-    course = values - values[0]
-    return {"course": tuple((course / np.abs(course).max()).round(4).tolist())}
-
-
-def light_course(observation: Observation) -> dict[str, Any]:
-    """`course` of the background, if it changes slowly: what swings or flickers is no drift. A walk whose steps stand
-    out of the noise of a frame is told for each frame."""
-    light = without_swing(observation)
-    n = min(VALUES, len(light) // FEWEST)
-    if n < FEWEST:
-        return {"course": ()}
-    frames = len(light) // n
-    readings = light[: frames * n].reshape(n, frames).T
-    mean = readings.mean(axis=0)
-    found = course_of(readings) if np.mean(np.diff(mean) ** 2) < SLOW * mean.var() else {"course": ()}
-    if not found["course"]:
-        return found
-    walk = walk_of(light, frames)
-    return _from_zero(np.array([part.mean() for part in np.array_split(light, n)]) if walk is None else walk)
-
-
-def walk_of(course: Array, frames: int) -> Array | None:
-    """A course for each frame where its steps are seen, and the mean of so many `frames` walks away by more than its
-    noise."""
-    far = max(2, frames // 2)
-    if len(course) <= far:
-        return None
-    step, noise = walk_in_noise(course, far)
-    # Of white noise, differences over one frame and over more differ by less (three standard deviations).
-    chance = OFF * np.sqrt(8 / len(course)) * noise / (far - 1)
-    return walk_alone(course, step, noise) if step > max(chance, 6 * noise / frames**2) else None
-
-
-def walk_in_noise(course: Array, far: int = 2) -> tuple[float, float]:
-    """Variance of a walk's steps, and of the white noise it is seen in, from differences over one frame and over `far`:
-    2 where the steps are larger than the noise, more where they are smaller."""
-    one, more = (float(np.mean((course[by:] - course[:-by]) ** 2)) for by in (1, far))
-    step = (more - one) / (far - 1)
-    return step, max((one - step) / 2, 0.0)
-
-
-def walk_alone(course: Array, step: float, noise: float) -> Array:
-    """A course seen in noise with the spectrum of the walk in it: the noise that simulations add makes it what was
-    measured. (In cosines, in which a walk between ends that reflect has independent coefficients; the best guess at the
-    path would be smoother than a walk.)"""
-    cosines = fft.dct(course, norm="ortho")
-    walks = 4 * np.sin(np.pi * np.arange(len(course)) / (2 * len(course))) ** 2
-    alone: Array = fft.idct(cosines / np.sqrt(1 + walks * noise / step), norm="ortho")
-    return alone
-
-
-def light_step(observation: Observation) -> dict[str, float]:
-    """`step_at` and `step_frames` as the background shows them.
-
-    The split of the movie whose two means differ most beyond noise, then least squares around it.
-    """
-    light = without_swing(observation)
-    n = len(light)
-    before = np.arange(1, n)
-    total = np.cumsum(light)[:-1]
-    difference = total / before - (light.sum() - total) / (n - before)
-    evidence = np.abs(difference) * np.sqrt(before * (n - before) / n)
-    inner = slice(n // 20, n - n // 20)
-    rough = np.argmax(evidence[inner]) + n // 20 + 0.5
-    frame = np.arange(n)
-    trials = [(at, rise) for at in rough + np.arange(-4, 5) * 0.5 for rise in (0.0, 2.0, 4.0, 8.0, 16.0, 32.0)]
-
-    def misfit(trial: tuple[float, float]) -> float:
-        design = np.stack([np.ones(n), stepwise(frame, *trial)], axis=1)
-        return float(((light - design @ np.linalg.lstsq(design, light, rcond=None)[0]) ** 2).sum())
-
-    at, rise = min(trials, key=misfit)
-    return {"step_at": float(np.clip(at / max(n - 1, 1), 0, 1)), "step_frames": float(rise)}
-
-
-def light_step_and_course(observation: Observation) -> dict[str, Any]:
-    return light_step(observation) | light_course(observation)
-
-
-def light_period(observation: Observation) -> dict[str, float]:
-    """`period_frames` of a swing that background and spots have in common; nothing where none stands out.
-
-    The highest peak of their power spectra (straight line taken off, Hann window), each over its median nearby, which
-    noise of any slowly changing colour exceeds alike.
-    """
-    n = len(observation.course)
-    frequency = np.fft.rfftfreq(FINER * n)
-    power = np.zeros(len(frequency))
-    for light in (observation.course, observation.together()):
-        found = np.abs(np.fft.rfft(signal.detrend(light) * np.hanning(n), FINER * n)) ** 2
-        usual = ndimage.median_filter(found, size=FINER * NEARBY, mode="mirror") / np.log(2)
-        power += found / np.maximum(usual, 1e-12 * found.max() + 1e-300)
-    power[frequency < FEWEST_CYCLES / n] = 0.0
-    peak = int(np.argmax(power))
-    return {"period_frames": float(1 / frequency[peak])} if power[peak] > PEAK and frequency[peak] < 0.5 else {}
-
-
-def without_swing(observation: Observation) -> Array:
-    """The course of the background without a swing that background and spots have in common, of any shape (a straight
-    line and harmonics by least squares, at the best frequency about that of the highest peak)."""
-    light = observation.course
-    period = light_period(observation).get("period_frames")
-    if period is None:
-        return light
-    n, harmonics = len(light), [k for k in range(1, HARMONICS + 1) if 2 * k < period]
-    best, least = light, np.inf
-    for frequency in 1 / period + np.linspace(-1, 1, 2 * FINER + 1) / (FINER * n):
-        turns = 2 * np.pi * frequency * np.arange(n)
-        waves = np.column_stack([wave(k * turns) for k in harmonics for wave in (np.sin, np.cos)])
-        design = np.column_stack([np.ones(n), np.arange(n), waves])
-        found = np.linalg.lstsq(design, light, rcond=None)[0]
-        left = float(np.square(light - design @ found).sum())
-        if left < least:
-            best, least = light - waves @ found[2:], left
-    return best
 
 
 def uneven_light(observation: Observation) -> dict[str, Any]:
@@ -291,7 +166,7 @@ def relief_beyond(observation: Observation, model: Sequence[Observation]) -> Obs
         return observation
     expected, by_chance = np.mean(maps, axis=0), np.var(maps, axis=0, ddof=1).mean()
     beyond = observation.maps - expected + expected.mean()
-    if np.var(sharpened(beyond[0])) <= SEEN * by_chance:
+    if np.var(sharpened(beyond[0])) <= MORE_THAN_PATTERNS * by_chance:
         beyond = np.full_like(beyond, np.nan)
     return replace(observation, maps=beyond)
 
@@ -358,7 +233,7 @@ def width_course(observation: Observation) -> dict[str, Any]:
         return {"course": ()}
     walk = walk_of(spots.common_widening(keep), spots.light.shape[1] // len(blocks))
     if walk is not None:
-        return _from_zero(walk)
+        return from_zero(walk)
     groups = [keep[i::FIFTHS] for i in range(FIFTHS)]
     return course_of(np.array([[mean_shape(spots, g, [b])[:2].mean() for b in blocks] for g in groups]))
 
@@ -370,31 +245,11 @@ def long_axis(observation: Observation) -> dict[str, float]:
     return {"axis_deg": float(np.rad2deg(0.5 * np.arctan2(2 * oblique, along_x - along_y)) % 180)}
 
 
-def stands_still(dark: NDArray[Any]) -> bool:
-    """Do dark frames (frame, y, x) show no drift, the last third beside the first, and no walk? How their means scatter
-    is told by frames two apart: a baseline may alternate."""
-    course = dark.mean(axis=(1, 2), dtype=np.float64)
-    third = len(course) // 6 * 2  # a baseline that alternates does so an even number of times
-    if third < 2:
-        return False
-    drift = course[-third:].mean() - course[:third].mean()
-    steady = abs(drift) < OFF * (course[2:] - course[:-2]).std() / np.sqrt(third)
-    return bool(steady and (third < TELLS_WALK or walk_of(course, third) is None))
-
-
-def dark_course(dark: NDArray[Any]) -> tuple[float, ...]:
-    """How the offset (ADU) of dark frames (frame, pixel) comes to that of the last of them; () of too few frames."""
-    n = min(VALUES, len(dark) // FEWEST)
-    if n < FEWEST:
-        return ()
-    values = np.array([part.mean() for part in np.array_split(dark.mean(axis=1, dtype=np.float64), n)])
-    return tuple((values - values[-1]).round(3).tolist())
-
-
 READERS: dict[str, Reader] = {
     "illumination_profile": uneven_light,
     "background_gradient": uneven_background,
     "laser_drift": light_step_and_course,
+    "laser_flicker": pink_course,
     "baseline_drift": light_step_and_course,
     "background_decay": light_course,
     "periodic_modulation": light_period,
@@ -405,3 +260,11 @@ READERS: dict[str, Reader] = {
 }
 DRIFTS = frozenset(kind for kind, reader in READERS.items() if reader in (light_course, light_step_and_course))
 RELIEFS = frozenset(kind for kind, reader in READERS.items() if reader in (uneven_light, uneven_background))
+COURSES = DRIFTS | {"laser_flicker", "background_as_measured"}
+
+
+def repeats_a_course(effect: Effect) -> bool:
+    """Does every simulation of an effect change the light, or the baseline, over the movie in the same way?"""
+    if effect.kind not in COURSES:
+        return False
+    return bool(getattr(effect, "course", ())) if effect.matters("course") else effect.kind in DRIFTS

@@ -30,7 +30,6 @@ from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import State
 from napari_mufasa.effects import Effect, effect_class
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.model.model import Model
 
 
 class Steps(Standing):
@@ -291,9 +290,17 @@ class Steps(Standing):
         stand = self.stand
         known = stand.library.formed
         if kind not in known:
-            others = _other_forms(stand.state.model, kind)
-            known[kind] = begun(stand.library, stand.without(kind), others, stand.x, apart=True) if others else None
+            bare = stand.without(kind)
+            others = self._other_forms(kind, bare)
+            known[kind] = begun(stand.library, bare, others, stand.x, apart=True) if others else None
         return known[kind]
+
+    def _other_forms(self, kind: str, bare: State) -> list[Effect]:
+        """An effect in its other forms, with what is read off the measurement beside a state that lacks it."""
+        effect = next(e for e in self.state.model.effects if e.kind == kind)
+        others = [e for e in each_form(effect) if e.chosen != effect.chosen]
+        seen = self.bench.read_off(kind, bare.model) if others else {}
+        return [changed(e, seen) for e in others]
 
     def _merged(self, kind: str, lesser: str, needed: float) -> Stand | None:
         """The stand with one effect in the place of two, if the two are not worth there what they need. What looks like
@@ -302,10 +309,10 @@ class Steps(Standing):
         once = stand.worths[lesser].evidence <= stand.worths[kind].evidence
         alike = stand.like_both(kind, lesser) if once else {}
         may_be_form = are_rivals(kind, lesser) or stand.share(lesser) < DOUBTFUL
-        forms = _other_forms(stand.state.model, kind) if may_be_form else []
-        if not alike and not forms:
+        if not alike and not (may_be_form and effect_class(kind).choices()):
             return None
         bare = joint.removed(stand.library, kind, lesser)
+        forms = self._other_forms(kind, bare) if may_be_form else []
         tries = [started(stand.library, bare, case, x) for case in bare.screen(x, alike).values()]
         if forms:
             tries.append(begun(stand.library, bare, forms, x, apart=True))
@@ -380,11 +387,6 @@ def _kind(case: Case) -> str:
 
 def _kinds(state: State) -> list[str]:
     return [effect.kind for effect in state.model.effects]
-
-
-def _other_forms(model: Model, kind: str) -> list[Effect]:
-    effect = next(e for e in model.effects if e.kind == kind)
-    return [e for e in each_form(effect) if e.chosen != effect.chosen]
 
 
 def each_form(effect: Effect) -> list[Effect]:

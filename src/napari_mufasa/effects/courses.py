@@ -63,13 +63,11 @@ def drifted(
     return path * size
 
 
-def seen_path(forms: tuple[str, ...] = ("wandering",)) -> Any:
-    """The field `course` of effects that may wander, in all or some of their forms."""
-    return Field(
-        (),
-        description="values at equal times, 0 first, ±1 at most; () at random",
-        json_schema_extra={"forms": list(forms)},
-    )
+def seen_path(
+    forms: tuple[str, ...] = ("wandering",), values: str = "values at equal times, 0 first, ±1 at most"
+) -> Any:
+    """The field `course` of effects that may follow one that was seen, in all or some of their forms."""
+    return Field((), description=f"{values}; () at random", json_schema_extra={"forms": list(forms)})
 
 
 def stepwise(frame: NDArray[Any], at: float, rise: float) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from scipy import signal
 
-from napari_mufasa.effects.courses import drifted, seen_path, settling, step_length, step_time
+from napari_mufasa.effects.courses import drifted, seen_path, settling, step_length, step_time, told
 from napari_mufasa.effects.fields import (
     bright_side,
     centre_along,
@@ -131,6 +131,7 @@ class LaserFlicker(Effect):
         3.0, gt=0, plausible=(0.7, 12), unit="frames", log=True, description="time within which it forgets itself",
         forms=("relaxing",),
     )  # fmt: skip
+    course: tuple[float, ...] = seen_path(("pink",), "light at equal times, mean 0, in units of its rms")
     form: Literal["white", "pink", "relaxing"] = "white"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -139,7 +140,9 @@ class LaserFlicker(Effect):
             kept = np.exp(-1 / self.correlation_frames)
             noise[1:] *= np.sqrt(1 - kept**2)
             noise = signal.lfilter([1.0], [1.0, -kept], noise)
-        if self.form == "pink":
+        if self.form == "pink" and self.course:
+            noise = told(self.course, scene.elapsed)
+        elif self.form == "pink":
             spectrum = np.fft.rfft(noise)
             frequency = np.maximum(np.fft.rfftfreq(scene.n_frames), 1.0 / scene.n_frames)
             noise = np.fft.irfft(spectrum / np.sqrt(frequency), scene.n_frames)
