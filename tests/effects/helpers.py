@@ -1,5 +1,7 @@
 """A small model without bleaching, blinking or background to hang effects on, and the scene it makes."""
 
+import types
+
 import numpy as np
 
 from napari_mufasa import preset
@@ -42,3 +44,8 @@ def effect(kind, **values):
 
 def scene_of(model, positions=((15.0, 20.0),), seed=1):
     return build_scene(model, np.array(positions, float).reshape(-1, 2), Streams(seed))
+
+
+def still_spots(course):
+    """A background whose light changes beside spots whose light does not."""
+    return types.SimpleNamespace(course=course, together=lambda: np.zeros(len(course)))

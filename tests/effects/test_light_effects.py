@@ -7,9 +7,9 @@ import pytest
 
 from napari_mufasa import simulate, simulate_emission
 from napari_mufasa.discover.read_off import averaged, relief, sharpened
-from napari_mufasa.discover.seen_courses import course_of, light_course, light_period, light_step, walk_alone
+from napari_mufasa.discover.seen_courses import light_step
 
-from .helpers import ccd, effect, plain, scene_of
+from .helpers import ccd, effect, plain, scene_of, still_spots
 
 
 def moments(image):
@@ -270,123 +270,6 @@ def test_light_that_wanders_follows_the_course_it_is_given():
     np.testing.assert_array_equal(scene_of(plain(n_frames=404).with_effects(other)).light, light)
     falling = effect("laser_drift", change=-0.4, form="wandering", course=seen)
     np.testing.assert_allclose(scene_of(plain(n_frames=404).with_effects(falling)).light, 2 - light, atol=1e-12)
-
-
-def shown(light, noise, rng):
-    """Background and spots in the same light, each with noise of its own."""
-    course, spots = light + noise * rng.standard_normal((2, len(light)))
-    return types.SimpleNamespace(course=course, together=lambda: spots)
-
-
-def still_spots(course):
-    """A background whose light changes beside spots whose light does not."""
-    return types.SimpleNamespace(course=course, together=lambda: np.zeros(len(course)))
-
-
-@pytest.mark.parametrize("form", ["sine", "square"])
-@pytest.mark.parametrize("period", [3.1, 9.0, 27.0])
-def test_a_period_is_read_off_the_light_beside_a_drift_and_flicker(period, form):
-    """300 frames, flicker and noise half as strong as the swing: the period's sd is 0.5 % at most (draws)."""
-    swing = effect("periodic_modulation", amplitude=0.02, period_frames=period, form=form)
-    others = effect("laser_drift", change=-0.4), effect("laser_flicker", rms=0.007)
-    light = scene_of(plain(n_frames=300).with_effects(swing, *others)).light
-    seen = light_period(shown(light, 0.007, np.random.default_rng(4)))
-    assert seen["period_frames"] == pytest.approx(period, rel=0.025)
-
-
-def test_light_without_a_period_has_none():
-    """At most one in a thousand walks, flickers or drifts has one (4000 draws each): five of 1200 with chance 0.008."""
-    rng, told, n = np.random.default_rng(5), 0, 300
-    pink = 1 / np.sqrt(np.maximum(np.fft.rfftfreq(n), 1 / n))
-    for _ in range(300):
-        walk = np.cumsum(rng.standard_normal(n))
-        flicker = np.fft.irfft(pink * np.fft.rfft(rng.standard_normal(n)), n)
-        lights = walk, flicker, 3 * rng.standard_normal(n), np.linspace(0, 30, n)
-        told += sum(light_period(shown(light, 1.0, rng)) != {} for light in lights)
-    assert told < 5
-
-
-def test_a_course_is_seen_where_readings_agree_and_only_there():
-    """White noise: F(19, 285) > 5 happens less than once in 10⁸."""
-    rng = np.random.default_rng(8)
-    walk = np.cumsum(rng.standard_normal(20))
-    seen = np.array(course_of(walk + rng.standard_normal((15, 20)))["course"])
-    assert np.corrcoef(seen, walk)[0, 1] > 0.97 and seen[0] == 0 and np.abs(seen).max() == 1
-    assert course_of(rng.standard_normal((15, 20)))["course"] == ()
-
-
-def test_slow_light_has_a_course_and_flicker_has_none():
-    """97 % of random walks and 1.5 % of 1/f noise of 300 frames are seen (1000 draws); bounds at 4 sd for 200 each."""
-    rng = np.random.default_rng(3)
-    f = np.fft.rfftfreq(300)
-    f[0] = f[1]
-
-    def seen(light):
-        return light_course(still_spots(10 + 0.01 * light))["course"] != ()
-
-    walks = [seen(np.cumsum(rng.standard_normal(300))) for _ in range(200)]
-    pink = [seen(np.fft.irfft(np.fft.rfft(rng.standard_normal(300)) / np.sqrt(f), 300)) for _ in range(200)]
-    white = [seen(rng.standard_normal(300)) for _ in range(200)]
-    assert np.mean(walks) > 0.92 and np.mean(pink) < 0.05 and not any(white)
-
-
-@pytest.mark.parametrize(("noise", "values"), [(0.15, {300}), (0.7, {300}), (3.0, {60, 300})])
-def test_a_walk_is_told_for_each_frame_where_its_steps_stand_out_of_the_noise(noise, values):
-    """Five frames of noise 2.04 have a mean as noisy as what a walk goes meanwhile; estimates of it are 40 % off. Of
-    walks 97 % are seen, in a noise of 3 79 %: with a chance of 0.1 % fewer than 10 of 20."""
-    rng = np.random.default_rng(6)
-    seen = []
-    for _ in range(20):
-        walk = np.cumsum(rng.standard_normal(300))
-        course = light_course(still_spots(walk + noise * rng.standard_normal(300)))["course"]
-        if course:
-            at = (np.arange(len(course)) + 0.5) / len(course) * 300 - 0.5
-            seen.append(np.corrcoef(np.interp(np.arange(300), at, course), walk)[0, 1])
-            assert len(course) in values
-    assert len(seen) >= 10 and np.median(seen) > 0.95
-
-
-@pytest.mark.parametrize(("wave", "least"), [(np.sin, 32), (lambda turn: np.sign(np.sin(turn)), 15)])
-def test_a_swing_hides_no_walk_and_is_no_part_of_it(wave, least):
-    """A swing of six steps of the walk, which alone is not slow. Of 300 walks 95 % are seen in a sine (97 % in still
-    light), 61 % in a square swing, whose edges stay; fewer than 32 or 15 of 40 with a chance of 0.1 % at most."""
-    rng = np.random.default_rng(10)
-    found = []
-    for _ in range(40):
-        walk = np.cumsum(rng.standard_normal(300))
-        swinging = walk + 6 * wave(2 * np.pi * np.arange(300) / 22.9 + 1.0)
-        light = 1 + 0.01 * np.stack([swinging, swinging + rng.standard_normal(300)])
-        course = light_course(types.SimpleNamespace(course=light[0], together=lambda spots=light[1]: spots))["course"]
-        if course:
-            at = (np.arange(len(course)) + 0.5) / len(course) * 300 - 0.5
-            found.append(np.corrcoef(np.interp(np.arange(300), at, course), walk)[0, 1])
-    assert len(found) >= least and np.median(found) > 0.97
-
-
-@pytest.mark.parametrize("noise", [0.15, 0.7, 1.2])
-def test_a_walk_that_was_told_has_with_fresh_noise_the_steps_that_were_measured(noise):
-    """Mean square over one frame and two: 1 + 2 noise² and 2 + 2 noise²; told with its noise, it would have twice
-    that. 200 walks of 300 frames; bounds at 4 sd (each walk 10 %) and 2 % for the reflecting ends."""
-    rng = np.random.default_rng(7)
-    found = []
-    for _ in range(200):
-        measured = np.cumsum(rng.standard_normal(300)) + noise * rng.standard_normal(300)
-        told = walk_alone(measured, 1.0, noise**2) + noise * rng.standard_normal(300)
-        found.append([np.mean((told[by:] - told[:-by]) ** 2) for by in (1, 2)])
-    np.testing.assert_allclose(np.mean(found, axis=0), [1 + 2 * noise**2, 2 + 2 * noise**2], rtol=0.05)
-
-
-def test_the_course_of_each_frame_is_that_of_the_frame():
-    """As many values as frames come back as they are, fewer as the means of equal parts, without any shift in time."""
-    course = np.abs(np.random.default_rng(9).uniform(-1, 1, 60))
-    course[0], course[7] = 0.0, 1.0
-    added = effect("laser_drift", change=0.4, form="wandering", course=tuple(course))
-    light = scene_of(plain(n_frames=60).with_effects(added)).light
-    np.testing.assert_allclose(light / light[0], 1 + 0.4 * course, rtol=1e-6)
-    seen = np.array(light_course(still_spots(10 + np.linspace(0.0, 1.0, 203) ** 2))["course"])
-    at = (np.arange(len(seen)) + 0.5) / len(seen)
-    slope, offset = np.polyfit(seen, at**2, 1)
-    assert np.abs(offset + slope * seen - at**2).max() < 0.01  # parts of 203 frames differ by one frame, 0.5 %
 
 
 # Reliefs that are read off -----------------------------------------------------------------------------------

@@ -16,11 +16,11 @@ from scipy import ndimage, signal
 
 from napari_mufasa.discover.seen_courses import (
     course_of,
+    flicker_course,
     from_zero,
     light_course,
     light_period,
     light_step_and_course,
-    pink_course,
     walk_of,
 )
 from napari_mufasa.effects import Effect
@@ -249,7 +249,7 @@ READERS: dict[str, Reader] = {
     "illumination_profile": uneven_light,
     "background_gradient": uneven_background,
     "laser_drift": light_step_and_course,
-    "laser_flicker": pink_course,
+    "laser_flicker": flicker_course,
     "baseline_drift": light_step_and_course,
     "background_decay": light_course,
     "periodic_modulation": light_period,

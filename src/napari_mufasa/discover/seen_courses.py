@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage, signal
 
-from napari_mufasa.discover.rules import OFF
+from napari_mufasa.discover.rules import NEAR, OFF
 from napari_mufasa.effects.courses import stepwise
 from napari_mufasa.observe import Observation
 
@@ -19,6 +19,7 @@ TELLS_WALK = 20  # frames over which white noise passes for a walk in 2 of 100 d
 FINER, NEARBY, FEWEST_CYCLES = 8, 20, 4  # of a spectrum: grid over that of the movie's length, width of what is nearby
 HARMONICS = 15  # of a swing of any shape, at most
 PEAK = 40.0  # sum of two spectra over what is usual: of 4000 flickers or drifts at most 4 reach it
+DRIFT = 4  # cosines that a drift may fill
 IN_WHITE = np.logspace(-4, 4, 60)  # shares of coloured noise in white noise that are tried, …
 RELAXES = np.logspace(-0.2, 1.1, 10)  # … and frames within which noise forgets itself
 SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴
@@ -39,9 +40,11 @@ def from_zero(values: Array) -> dict[str, Any]:
 
 
 def light_course(observation: Observation) -> dict[str, Any]:
-    """`course` of the background, if it changes slowly: what swings or flickers is no drift. A walk whose steps stand
+    """`course` of the background, if it changes slowly: what swings or flickers is taken off. A walk whose steps stand
     out of the noise of a frame is told for each frame."""
     light = without_swing(observation)
+    flicker = flicker_in(light)
+    light = light if flicker is None else light - flicker
     n = min(VALUES, len(light) // FEWEST)
     if n < FEWEST:
         return {"course": ()}
@@ -85,44 +88,42 @@ def walk_alone(course: Array, step: float, noise: float) -> Array:
     return alone
 
 
-def pink_course(observation: Observation) -> dict[str, Any]:
-    """`course` of the background for each frame, relative to its mean, in units of its rms, where 1/f noise is likelier
-    in it than white noise, a walk or one that relaxes; () else."""
-    light = without_swing(observation)
-    share = pink_share(light)
-    if share is None:
-        return {"course": ()}
-    course = pink_alone(light, share)
-    return {"course": tuple((course / course.std()).round(4).tolist())}
+def flicker_course(observation: Observation) -> dict[str, Any]:
+    """`course` of 1/f flicker as the background shows it, for each frame, in units of its rms; () where it shows
+    none."""
+    flicker = flicker_in(without_swing(observation))
+    return {"course": () if flicker is None else tuple((flicker / flicker.std()).round(4).tolist())}
 
 
-def pink_share(course: Array) -> float | None:
-    """How much 1/f noise there is in white noise (ratio of powers at one cycle per frame), where their sum is the
-    likeliest law of a course by its spectrum (Whittle, Ark. Mat. 2, 423, 1953); None where it is not."""
+def flicker_in(course: Array) -> Array | None:
+    """The 1/f noise in a course, with its spectrum (as `walk_alone`), where it and white noise are the likeliest law by
+    the spectrum (Whittle, Ark. Mat. 2, 423, 1953): likelier than white noise, which chance passes for it in 0.1 %,
+    than a walk, with no doubt, and than noise that relaxes. A drift besides fills the first cosines, which do not tell;
+    what is too large for the flicker is no part of it."""
     n = len(course)
     if n < TELLS_WALK:
         return None
-    power = np.square(fft.dct(course, norm="ortho")[1:])
-    turn = np.pi * np.arange(1, n) / n
-    pink, walk = 2 * np.pi / turn, 1 / (2 - 2 * np.cos(turn))
+    cosines = fft.dct(course - course.mean(), norm="ortho")
+    turn = np.pi * np.arange(DRIFT, n) / n
+    power = np.square(cosines[DRIFT:])
 
-    def unlikely(*shapes: Array) -> Array:
-        return np.array([(n - 1) * np.log(np.mean(power / shape)) + np.log(shape).sum() for shape in shapes])
+    def likeliest(*shapes: Array) -> tuple[float, int]:
+        """The least −2 log likelihood, each shape at its best scale, and whose it is."""
+        found = [len(power) * np.log(np.mean(power / shape)) + np.log(shape).sum() for shape in shapes]
+        return min(found), int(np.argmin(found))
 
     relaxing = [1 / (1 - 2 * kept * np.cos(turn) + kept**2) for kept in np.exp(-1 / RELAXES)]
-    found = unlikely(*(1 + share * pink for share in IN_WHITE))
-    others = [
-        unlikely(np.ones(n - 1)).min() - OFF**2,
-        unlikely(*(1 + share * walk for share in IN_WHITE)).min(),
-        unlikely(*(1 + share * shape for share in IN_WHITE for shape in relaxing)).min() + np.log(n),
-    ]
-    return float(IN_WHITE[found.argmin()]) if found.min() < min(others) else None
-
-
-def pink_alone(course: Array, share: float) -> Array:
-    cosines = fft.dct(course - course.mean(), norm="ortho")
-    frequency = np.arange(len(course)) / (2 * len(course))
-    alone: Array = fft.idct(cosines * np.sqrt(share / (share + frequency)), norm="ortho")
+    pink, best = likeliest(*(1 + share * 2 * np.pi / turn for share in IN_WHITE))
+    white, _ = likeliest(np.ones_like(turn))
+    walk, _ = likeliest(*(1 + share / (2 - 2 * np.cos(turn)) for share in IN_WHITE))
+    relaxed, _ = likeliest(*(1 + share * shape for share in IN_WHITE for shape in relaxing))
+    if pink > min(white - OFF**2, walk - NEAR, relaxed + np.log(n)):
+        return None
+    pink_in_white = IN_WHITE[best] * 2 * n / np.arange(1, n)
+    scale = np.mean(power / (1 + pink_in_white[DRIFT - 1 :]))
+    too_large = np.abs(cosines[1:]) > OFF * np.sqrt(scale * (1 + pink_in_white))
+    cosines[1:] *= np.where(too_large, 0.0, np.sqrt(pink_in_white / (1 + pink_in_white)))
+    alone: Array = fft.idct(cosines, norm="ortho")
     return alone
 
 
