@@ -123,6 +123,39 @@ def test_a_stuck_pixel_is_no_end_of_the_converter():
     assert found.saturation_adu is None and found.camera.adc_max == 65535
 
 
+@pytest.mark.parametrize("camera_type", ["CMOS", None])
+@pytest.mark.parametrize("light_e", [4.0, 40.0])
+def test_a_few_hot_pixels_raise_neither_read_noise_nor_gain(camera_type, light_e):
+    """8 of 4096 pixels with 100 times the noise: they made 20 times as much variance as all others, and ADU per
+    photoelectron 1.2 instead of 2, or none at all of dim light. Of fields without them, 1 in 20 has one by chance."""
+    rng = np.random.default_rng(9)
+    noise_e, offset, light = np.full((64, 64), 1.0), np.zeros((64, 64)), np.linspace(light_e / 4, light_e, 64)
+    where = rng.choice(64 * 64, 8, replace=False)
+    noise_e.flat[where], offset.flat[where] = 100.0, 200.0
+    movie, dark = (
+        ccd(np.broadcast_to(electrons, (n, 64, 64)), rng, noise_e, 0.5) + offset.astype(np.uint16)
+        for electrons, n in ((light, 100), (0 * light, 60))
+    )
+    found = calibrate(movie, dark, camera_type=camera_type)
+    assert found.camera.type == (camera_type or "CCD")
+    assert found.adu_per_photoelectron.value == pytest.approx(2.0, abs=5 * found.adu_per_photoelectron.sd)
+    assert found.adu_per_photoelectron.sd < 0.04
+    # 60 · 4096 counts: 0.14 % of read noise and 0.004 ADU, of which 5 standard errors.
+    assert found.read_noise_adu.value == pytest.approx(2.0, rel=0.01)
+    assert found.baseline_adu.value == pytest.approx(100.0, abs=0.025)
+    assert "hot in the dark frames: 8 pixels" in " ".join(found.notes)
+    if camera_type == "CMOS":  # the map keeps them
+        noisiest = np.argsort(found.camera.variance_map_e2, axis=None)[-8:]
+        assert set(noisiest.tolist()) == set(where.tolist())
+
+
+def test_single_electrons_behind_a_register_make_no_pixel_hot():
+    rng = np.random.default_rng(10)
+    dark = emccd(np.full((60, 64, 64), 0.02), rng)
+    assert dark.var(axis=0).max() > 20 * np.median(dark.var(axis=0))
+    assert DarkFrames.of([dark]).hot.sum() <= 1  # of a field of like pixels 1 in 100 has one by chance
+
+
 def test_frames_of_less_light_are_not_dark_ones():
     rng = np.random.default_rng(8)
     image = 10 + spots()

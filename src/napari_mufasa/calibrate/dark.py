@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,10 @@ MOST_COUNTS = 2**24  # that are looked at one by one …
 LEAST_CHOSEN = 16  # … of so many frames at least
 READ_BYTES = 2**25  # at a time
 LEAST_FRAMES = 5  # for what needs each pixel's own mean
+LOOK_FRAMES = 32  # by which hot pixels are told before the others are measured
+HOT_SD = 6.0  # robust sd of the pixels' variances above their median, from which on a pixel is hot …
+HOT_ALARM = 0.01  # … unless one of so many fields of like pixels has one by chance …
+HOT_ADU2 = 1.0  # … or rounding makes it: of little noise it leaves many pixels none and others up to 1/4 ADU²
 MEDIAN_ERROR = 1.17  # standard error of a normal sd that is told by the median, times √n over the sd
 SURE = 3.5  # standard errors from which on an alternation is believed
 GOOD = 0.01  # p-value of a normal law from which on no tail is looked for
@@ -45,7 +50,7 @@ class Stray:
 
 @dataclass(frozen=True)
 class Dark:
-    """Of dark frames.
+    """Of dark frames, hot pixels apart.
 
     Attributes
     ----------
@@ -59,7 +64,8 @@ class Dark:
     n_frames : how many there are
     stray : where the histogram shows that the frames are not quite dark; baseline and read noise are then those of the
         frames as they are, electrons included
-    offset_map, variance_map : (y, x) of each pixel, above the mean and in time (ADU², None where frames are too few)
+    offset_map, variance_map : (y, x) of each pixel, hot ones too, above the mean and in time (ADU², None where frames
+        are too few)
     mean_adu : recorded, electrons included
     """
 
@@ -92,7 +98,8 @@ class DarkFrames:
 
     per_frame (frame,) : mean of each, over `pixels` (y, x) · offset_map, variance_map (y, x) : mean of each pixel, and
     variance in time (ADU²), both beside what its frame has in common · some (frame, y, x) : counts that are looked at
-    one by one, of frames spread over all, within `region`, what their frame has in common taken off
+    one by one, of frames spread over all, within `region`, what their frame has in common taken off · hot (y, x) : far
+    noisier than others, in the maps, but not in `pixels`
     """
 
     per_frame: NDArray[np.float64]
@@ -101,18 +108,26 @@ class DarkFrames:
     some: NDArray[np.float32]
     region: tuple[slice, slice]
     pixels: NDArray[np.bool_]
+    hot: NDArray[np.bool_]
 
     @classmethod
     def of(
-        cls, stacks: Sequence[Any], pixels: NDArray[np.bool_] | None = None, cancel: Callable[[], bool] | None = None
-    ) -> DarkFrames:
+        cls, stacks: Sequence[Any], pixels: NDArray[np.bool_] | None = None,
+        cancel: Callable[[], bool] | None = None, register: bool = True,
+    ) -> DarkFrames:  # fmt: skip
         """Of stacks of counts (frame, y, x) that follow one another, arrays or lazy ones; `pixels` (y, x): dark is only
-        what lies there, else the `window` is looked at. Held are `MOST_COUNTS` of them as float32 and a few maps."""
+        what lies there, else the `window` is looked at. Held are `MOST_COUNTS` of them as float32 and a few maps.
+
+        register : the camera may multiply: pixels are then hot by what lies below their median only, for single
+            electrons lie above
+        """
         shape = tuple(stacks[0].shape[1:])
         n, region = sum(len(stack) for stack in stacks), window(shape)
         there = np.zeros(shape, dtype=bool)
         there[region] = True
         mask = there if pixels is None else pixels
+        hot = _hot(islice(_frames_of(stacks, cancel), LOOK_FRAMES), mask, region, register)
+        mask = mask & ~hot
         most = max(LEAST_CHOSEN, MOST_COUNTS // int(there.sum()))
         chosen = set(np.linspace(0, n - 1, most).astype(int).tolist())
         per_frame, some = np.zeros(n), []
@@ -128,7 +143,29 @@ class DarkFrames:
             total += frame
             squares += frame**2
         variance = np.maximum(squares - total**2 / n, 0.0) / max(n - 1, 1)
-        return cls(per_frame, first + total / n, variance, np.stack(some), region, mask)
+        return cls(per_frame, first + total / n, variance, np.stack(some), region, mask, hot)
+
+
+def _hot(
+    frames: Iterable[NDArray[np.float64]], mask: NDArray[np.bool_], region: tuple[slice, slice], register: bool
+) -> NDArray[np.bool_]:
+    """(y, x) True within `mask` where the noise is so far above that of the others that a few such pixels would make
+    most of a mean variance."""
+    from scipy import stats
+
+    looked = np.stack([(frame[region] - np.median(frame[mask])).astype(np.float32) for frame in frames])
+    found, n = np.zeros(mask.shape, dtype=bool), len(looked)
+    if n < LEAST_FRAMES:
+        return found
+    looked -= np.median(looked, axis=0)
+    noise = np.square(np.minimum(looked, 0) if register else looked).mean(axis=0, dtype=np.float64)
+    own = noise[mask[region]]
+    middle = float(np.median(own))
+    spread = 1.4826 * float(np.median(np.abs(own - middle)))
+    known = (n - 1) * (0.4 if register else 1)  # of a side: fewer, and its squares have a longer tail
+    by_chance = middle * float(stats.chi2.isf(HOT_ALARM / own.size, known) / stats.chi2.median(known))
+    found[region] = noise > max(middle + HOT_SD * spread, by_chance, HOT_ADU2)
+    return found & mask
 
 
 def _frames_of(stacks: Sequence[Any], cancel: Callable[[], bool] | None) -> Iterator[NDArray[np.float64]]:

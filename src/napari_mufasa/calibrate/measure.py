@@ -135,10 +135,14 @@ def _calibrated(
         lit[:, : rows.LAGS] = False  # what was read before them is not in the movie
     frames, shaded, seen_dark = None, None, None
     if dark is not None:
-        frames = DarkFrames.of([dark], cancel=cancel)
+        frames = DarkFrames.of([dark], cancel=cancel, register=register)
+        lit &= ~frames.hot[frames.region]
+        if frames.hot.any():
+            number = checks.counted(int(frames.hot.sum()), "pixel")
+            notes.append(f"hot in the dark frames: {number}, left out of all but the maps")
     elif baseline_adu is None and register:
         shaded = shadow(chunks)
-        frames = None if shaded is None else DarkFrames.of(chunks, shaded)
+        frames = None if shaded is None else DarkFrames.of(chunks, shaded, register=register)
     if frames is not None:
         seen_dark = measure_dark(frames, register, clock_induced_charge_e)
         if shaded is not None and not _is_dark(seen_dark):
