@@ -274,6 +274,18 @@ def test_a_camera_without_a_register_is_not_taken_for_an_emccd_in_silence():
     assert measured_camera(movie, dark).type == "EMCCD"
     assert calibrate(movie, dark).camera.type == "EMCCD"
     assert not any("really an EMCCD" in note for note in calibrate(movie, dark).notes)
+    contradicted = calibrate(movie, dark, em_gain=1)
+    assert contradicted.camera.type == "EMCCD" and "the EM gain is said to be 1, but" in contradicted.notes[-1]
+
+
+@pytest.mark.parametrize("camera_type", [None, "EMCCD"])
+def test_a_gain_of_1_is_no_register(camera_type):
+    model = camera_with("CCD")
+    movie, dark = nm.simulate(model, seed=1).movie, nm.simulate_dark(model, 60, seed=1)
+    found = calibrate(movie, dark, em_gain=1, camera_type=camera_type)
+    assert found.camera.type == "CCD" and found.type_untold is None
+    assert found.camera.electrons_per_adu == pytest.approx(0.8, rel=0.03)
+    assert "an EM gain of 1 multiplies nothing: CCD is taken" in found.notes[-1]
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.25, 0.5])

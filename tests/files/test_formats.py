@@ -18,6 +18,7 @@ from napari_mufasa.files.instrument import Instrument, _take, read_instrument
 from napari_mufasa.files.layers import get_reader, instrument_of, movie_layer
 from napari_mufasa.files.zeiss import check_czi
 from napari_mufasa.propose.written import as_written, values_written
+from napari_mufasa.report.lines import instrument_line
 
 MOVIE = np.random.default_rng(3).integers(1, 200, (9, 16, 24))
 
@@ -297,6 +298,27 @@ def test_imagej_intervals_are_in_their_unit(tmp_path, interval, unit, told_s):
     tifffile.imwrite(path, counts, imagej=True, resolution=(8, 8), metadata=said | {"axes": "TYX"})
     told = read_instrument(path)
     assert told.interval_s == pytest.approx(told_s) and told.pixel_size_nm == pytest.approx(125)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told", "gain"),
+    [
+        ({"Camera-Gain": "4"}, Instrument(gain=4.0), None),  # a conversion, a preamplifier, a speed: no one knows
+        ({"AmplificationGain": "2.5"}, Instrument(gain=2.5), None),
+        ({"Andor-Gain": "300", "Andor-Pre-Amp-Gain": "Gain 3"}, Instrument(em_gain=300.0, preamp_gain=3.0), 300.0),
+        ({"Evolve-Gain": "3", "Evolve-MultiplierGain": "200"}, Instrument(em_gain=200.0, gain=3.0), 200.0),
+        ({"Andor-Gain": "1"}, Instrument(em_gain=1.0), 1.0),
+        ({"Andor-Gain": "300", "Andor-Output_Amplifier": "Conventional CCD register"},
+         Instrument(em_gain=300.0, register="off"), 1.0),
+        ({"Andor-Output_Amplifier": "Standard EMCCD gain register", "Andor-EMSwitch": "On"}, Instrument(), None),
+        ({"Andor-Gain": "300", "Andor-EMSwitch": "Off"}, Instrument(em_gain=300.0, register="off"), 1.0),
+        ({"Readout Mode": "Conventional 3MHz"}, Instrument(register="off"), 1.0),
+    ],
+)  # fmt: skip
+def test_only_a_gain_that_is_said_to_be_the_registers_is(settings, told, gain):
+    found = taken(settings.items())
+    assert found == told and found.register_gain == gain
+    assert len(instrument_line(found.known()).split(", ")) == max(len(found.known()), 1)  # every setting has its words
 
 
 def test_metadata_do_not_change_what_they_do_not_say():

@@ -16,6 +16,7 @@ from napari_mufasa.effects import effect_class
 from napari_mufasa.files.instrument import Instrument, read_instrument
 from napari_mufasa.model.cameras import CAMERAS, camera_type_of
 from napari_mufasa.propose import fluctuations, light, proposal
+from napari_mufasa.propose.written import camera_told
 
 SHAPE = {"acquisition.shape_px": (96, 96), "acquisition.n_frames": 150, "sample.n_molecules": 40}
 
@@ -178,6 +179,49 @@ def test_settings_of_ome_and_of_our_own_movies_are_read(tmp_path, bright):
     files.write_movie(tmp_path / "own.ome.tif", [movie], movie.shape, np.uint16, model=model, seed=1)
     assert read_instrument(tmp_path / "own.ome.tif").pixel_size_nm == pytest.approx(100.0)
     assert read_instrument(tmp_path / "none.tif") == Instrument()
+
+
+@pytest.mark.parametrize(
+    ("written", "given", "told", "words"),
+    [
+        (Instrument(gain=4.0), (None, None), (None, None), "a gain of 4, but of no EM gain"),
+        (Instrument(camera="iXon", gain=4.0), (None, None), (None, None), "EM register (iXon) and a gain of 4"),
+        (Instrument(camera="iXon", em_gain=300.0), (None, None), ("EMCCD", 300.0), None),
+        (Instrument(camera="iXon", em_gain=1.0), (None, None), (None, 1.0), None),
+        (
+            Instrument(camera="iXon", em_gain=300.0, register="off"),
+            (None, None),
+            (None, 1.0),
+            "not pass the EM register",
+        ),
+        (Instrument(camera="iXon", register="off"), ("EMCCD", None), ("EMCCD", None), None),
+        (Instrument(camera="iXon", em_gain=300.0), (None, 1.0), (None, 1.0), None),
+        (Instrument(camera="iXon", em_gain=300.0), ("CCD", None), ("CCD", None), None),
+        (Instrument(camera="Zyla", em_gain=4.0), (None, None), ("CMOS", None), None),
+        (Instrument(), (None, 300.0), ("EMCCD", 300.0), None),
+        (Instrument(), (None, None), (None, None), None),
+    ],
+)
+def test_what_is_told_of_the_camera_says_no_register_that_did_not_multiply(written, given, told, words):
+    kind, gain, notes = camera_told(written, *given)
+    assert (kind, gain) == told
+    assert (words is None and notes == []) or words in " ".join(notes)
+
+
+@pytest.mark.parametrize(("camera", "em_gain"), [("iXon", None), ("iXon", 1.0), (None, None)])
+def test_a_register_that_did_not_multiply_does_not_double_the_light(camera, em_gain):
+    """The name of such a camera, a gain of no said kind, and an EM gain of 1 made an EMCCD of a CCD's counts."""
+    rng = np.random.default_rng(0)
+    light = np.broadcast_to(np.linspace(10, 60, 64), (60, 64, 64))
+    movie, dark = (
+        np.floor(100 + 2 * (rng.poisson(electrons) + rng.normal(0, 4, (60, 64, 64)))).astype(np.uint16)
+        for electrons in (light, 0 * light)
+    )
+    found = nm.propose_model(movie, dark, instrument=Instrument(camera=camera, gain=4.0), em_gain=em_gain)
+    assert found.model.camera.type == "CCD"
+    assert found.values["adu_per_photoelectron"].value == pytest.approx(2.0, rel=0.05)
+    told = "an EM gain of 1 multiplies nothing: CCD is taken" if em_gain else "but of no EM gain: the counts decide"
+    assert sum(told in note for note in found.notes) == 1
 
 
 def test_named_cameras_are_cameras():

@@ -60,10 +60,11 @@ def calibrate(
     dark : (frame, y, x) frames without light; without them dark frames at the movie's beginning are looked
         for, then a part of the chip in shadow, and failing that the baseline is where the fitted variance vanishes,
         with the read noise that the histogram shows: intervals are wider then
-    camera_type : None: an EMCCD, or a CCD where no gain is given and the histogram, or how few counts a photoelectron
-        makes, say that it has no register (`kind_of`); a CMOS counts its electrons alike
+    camera_type : None: an EMCCD where an EM gain above 1 is given, else what the histogram, or the counts that a
+        photoelectron makes, say (`kind_of`): EMCCD or CCD; a CMOS counts its electrons alike
     em_gain, electrons_per_adu : photon transfer measures only their ratio; give one (default: gain 300 for
-        an EMCCD) and the other follows
+        an EMCCD) and the other follows; an EM gain of 1 says CCD, an EMCCD's type or not, unless the histogram shows
+        the excess noise of a register
     excess_noise_factor : F² of the multiplication; None: 2 for an EMCCD, 1 else
     readout_kernel, clock_induced_charge_e : taken so instead of measured; () and 0: none, () of the read noise, too
     baseline_adu, read_noise_adu : known values, instead of dark frames; with the baseline alone the read noise is what
@@ -96,12 +97,19 @@ def calibrate(
         known = (gain, electrons_per_adu, quantum_efficiency, assumed, adc_max)
         return _calibrated(movie, dark, kind, *known, progress, cancel)
 
-    if camera_type is not None or (em_gain or 1.0) > 1:
+    without = em_gain == 1 and camera_type in (None, "EMCCD")
+    if not without and (camera_type is not None or em_gain is not None):
         return taken_for(camera_type or "EMCCD")
     found = taken_for("EMCCD")
     kind, untold = kind_of(found, electrons_per_adu)
+    if without and untold is not None:
+        kind, untold = "CCD", None
     found = found if kind == "EMCCD" else taken_for(kind)
     told = untold or f"as its counts tell, {kind} is taken"
+    if without:
+        told = "an EM gain of 1 multiplies nothing: CCD is taken"
+        if kind == "EMCCD":
+            told = "the EM gain is said to be 1, but the counts are those of a register: EMCCD is taken; check the gain"
     alike = "" if kind == "EMCCD" else " (a CMOS counts alike: give its type if it is one)"
     return replace(found, notes=[*found.notes, told + alike], type_untold=untold)
 

@@ -46,7 +46,7 @@ def calibrate(
     from napari_mufasa import files
     from napari_mufasa.calibrate.measure import calibrate as measure
     from napari_mufasa.files.instrument import read_instrument
-    from napari_mufasa.model.cameras import camera_type_of
+    from napari_mufasa.propose.written import camera_told
 
     console.check_apart(out, report, figure)
     for path in (out, report, figure):
@@ -56,12 +56,11 @@ def calibrate(
     recorded = files.read_movie(movie).recorded().data
     background = console.dark_frames(dark)
     written = read_instrument(movie)
-    known = camera_type or camera_type_of(written.camera)
+    known, gain, notes = camera_told(written, camera_type, em_gain)
     with console.working("calibrating") as work:
         found = measure(
-            recorded, background, camera_type=known,
-            em_gain=em_gain or (written.register_gain if known in (None, "EMCCD") else None),
-            electrons_per_adu=electrons_per_adu, quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu,
+            recorded, background, camera_type=known, em_gain=gain, electrons_per_adu=electrons_per_adu,
+            quantum_efficiency=quantum_efficiency, baseline_adu=baseline_adu,
             **work.both(),
         )  # fmt: skip
     section = found.camera.model_dump(mode="json", exclude_none=True)
@@ -82,7 +81,7 @@ def calibrate(
     typer.echo(f"test of fit, all: p = {found.p_value:.2g}: {verdict}")
     if written.known():
         typer.echo("metadata: " + ", ".join(f"{name} {value}" for name, value in written.known().items()))
-    for note in found.notes:
+    for note in (*notes, *found.notes):
         typer.echo(f"note: {note}")
     typer.echo(f"{out}: the camera part of a model.json")
 

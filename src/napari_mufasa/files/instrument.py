@@ -22,7 +22,8 @@ class Instrument:
 
     camera : its name; em_gain, preamp_gain : settings; readout_rate_hz : of pixels; exposure_s, interval_s : of a frame
     (start to start); pixel_size_nm : in the sample; bit_depth : of the converter; baseline_adu : offset asked for;
-    wavelength_nm : of the excitation
+    wavelength_nm : of the excitation; gain : of which it is not said what it multiplies; register : "off" where the
+    electrons did not pass the EM register, or it was switched off
     """
 
     camera: str | None = None
@@ -35,11 +36,15 @@ class Instrument:
     bit_depth: int | None = None
     baseline_adu: float | None = None
     wavelength_nm: float | None = None
+    gain: float | None = None
+    register: str | None = None
 
     @property
     def register_gain(self) -> float | None:
-        """The EM gain, where it can be one: some software writes a conversion gain of 1 in its place."""
-        return self.em_gain if self.em_gain is not None and self.em_gain > 1 else None
+        """By how much the register multiplied: 1 where it was off, None where nothing is said of it."""
+        if self.register == "off":
+            return 1.0
+        return None if self.em_gain is None else max(self.em_gain, 1.0)
 
     def known(self) -> dict[str, Any]:
         """Only what is there."""
@@ -48,8 +53,10 @@ class Instrument:
 
 # A key's name, lower case without the device's own ("Andor-Gain" is "gain"), and what it gives: field and factor.
 NAMES: dict[str, tuple[str, float]] = {
-    "gain": ("em_gain", 1), "em gain": ("em_gain", 1), "emgain": ("em_gain", 1), "multiplier": ("em_gain", 1),
-    "multiplicationgain": ("em_gain", 1), "andoremdaclevel": ("em_gain", 1), "amplificationgain": ("em_gain", 1),
+    "gain": ("gain", 1), "amplificationgain": ("gain", 1),  # of a converter, an amplifier or a register
+    "andor-gain": ("em_gain", 1),  # so Micro-Manager's Andor adapter calls the register's, beside "Pre-Amp-Gain"
+    "em gain": ("em_gain", 1), "emgain": ("em_gain", 1), "multiplier": ("em_gain", 1),
+    "multiplicationgain": ("em_gain", 1), "multipliergain": ("em_gain", 1), "andoremdaclevel": ("em_gain", 1),
     "pre-amp-gain": ("preamp_gain", 1), "preampgain": ("preamp_gain", 1), "preamp": ("preamp_gain", 1),
     "readoutmode": ("readout_rate_hz", 1e6), "readoutrate": ("readout_rate_hz", 1e6),
     "pixelreadoutrate": ("readout_rate_hz", 1e6), "readout rate": ("readout_rate_hz", 1e6),
@@ -62,6 +69,9 @@ NAMES: dict[str, tuple[str, float]] = {
     "andorbaselineoffset": ("baseline_adu", 1), "gaindac": ("em_gain", 1), "detectortype": ("camera", 1),
     "cycletime": ("interval_s", 1), "emgain setting": ("em_gain", 1), "em multiplier": ("em_gain", 1),
 }  # fmt: skip
+# Names that say whether the electrons pass the register, and words for that they do not.
+REGISTER = ("output_amplifier", "outputamplifier", "emswitch", "readoutmode", "readout mode")
+UNUSED = re.compile(r"conventional|^off$", re.IGNORECASE)
 SECONDS = {
     "s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "µs": 1e-6, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "min": 60.0,
     "h": 3600.0,
@@ -160,7 +170,10 @@ def _ome(text: str) -> Iterator[tuple[str, Any]]:
 def _take(found: dict[str, Any], name: str, value: Any) -> None:
     """Keep a value under the field that its name stands for, unless an earlier one was kept or it says nothing."""
     short = name.lower().strip()
-    field = NAMES.get(short) or NAMES.get(re.split(r"-", short, maxsplit=1)[-1])
+    without_device = re.split(r"-", short, maxsplit=1)[-1]
+    if without_device in REGISTER and UNUSED.search(str(value).strip()):
+        found["register"] = "off"
+    field = NAMES.get(short) or NAMES.get(without_device)
     if field is None or field[0] in found:
         return
     kind, factor = field

@@ -15,10 +15,10 @@ from napari_mufasa.calibrate.measure import CameraType, calibrate, check_given
 from napari_mufasa.calibrate.value import NORMAL, Value
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.instrument import Instrument
-from napari_mufasa.model.cameras import camera_type_of
 from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics import rates
 from napari_mufasa.propose.light import Seen, seen_in
+from napari_mufasa.propose.written import camera_told
 
 if TYPE_CHECKING:
     from napari_mufasa.model.setup import Camera
@@ -75,7 +75,8 @@ def propose_model(
 
     instrument : what the recording software wrote (`files.instrument.read_instrument`)
     camera_type … frame_length_s : what is known, instead of metadata, measurement or assumption; without a type an EM
-        gain above 1 says EMCCD, else the histogram does, and the counts that a photoelectron makes
+        gain above 1 says EMCCD, else the histogram does, and the counts that a photoelectron makes; a name of a camera
+        with a register, or a gain that is not said to be its, does not
 
     Raises
     ------
@@ -87,15 +88,14 @@ def propose_model(
         raise MufasaError(f"the movie has {frames}: give {LEAST_FRAMES} or more to propose a model from")
     dark = None if dark is None else checks.stack(dark, "dark")
     written = instrument or Instrument()
-    known = camera_type or camera_type_of(written.camera)
-    check_given(known or "EMCCD", em_gain, electrons_per_adu, quantum_efficiency)
+    known, gain, notes = camera_told(written, camera_type, em_gain)
+    check_given(known or "EMCCD", gain, electrons_per_adu, quantum_efficiency)
     for name, value in (("pixel_size_nm", pixel_size_nm), ("frame_length_s", frame_length_s)):
         if value is not None:
             checks.number(value, name, 1e-9, 1e9)
     unknown: dict[str, str] = {}
-    notes: list[str] = []
     asked = {
-        "em_gain": em_gain or written.register_gain, "electrons_per_adu": electrons_per_adu,
+        "em_gain": gain, "electrons_per_adu": electrons_per_adu,
         "quantum_efficiency": quantum_efficiency,
         "adc_max": _adc_max(movie, written.bit_depth, notes),
     }  # fmt: skip
@@ -144,9 +144,10 @@ def _camera(
         if light_e > FULL_WELL_E:
             raise MufasaError(f"its noise would mean {light_e:.1g} photoelectrons in every pixel")
     except MufasaError as error:
-        unknown["camera"] = f"could not be measured ({error}); one electron per count is taken"
+        kind = kind or "CCD"
+        unknown["camera"] = f"could not be measured ({error}); a {kind} of one electron per count is taken"
         unknown["optics.background_photons_per_px"] = "without the camera, counts are no photons"
-        return _plain_camera(movie, dark, kind or "CCD", asked), None
+        return _plain_camera(movie, dark, kind, asked), None
     notes += [note for note in found.notes if note != found.type_untold]
     if not found.law_holds:
         notes.append(

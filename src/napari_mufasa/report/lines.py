@@ -34,6 +34,7 @@ def instrument_line(known: dict[str, Any]) -> str:
     words = {
         "pixel_size_nm": ("pixel size", "nm", 1.0), "exposure_s": ("exposure", "ms", 1e3),
         "interval_s": ("frame every", "ms", 1e3), "em_gain": ("EM gain setting", "", 1.0),
+        "gain": ("gain (of what is not said)", "", 1.0), "register": ("EM register", "", 1.0),
         "camera": ("camera", "", 1.0),
         "preamp_gain": ("preamplifier", "", 1.0), "readout_rate_hz": ("read-out", "MHz", 1e-6),
         "bit_depth": ("depth", "bit", 1.0), "baseline_adu": ("baseline setting", "ADU", 1.0),
