@@ -9,7 +9,7 @@ from tests.real_data import real_data
 import napari_mufasa as nm
 from napari_mufasa.calibrate import Value
 from napari_mufasa.calibrate.measure import calibrate
-from napari_mufasa.calibrate.sample import leading_dark_frames
+from napari_mufasa.calibrate.sample import lit_frames
 from napari_mufasa.calibrate.series import Exposed, calibrate_gain_series
 from napari_mufasa.calibrate.transfer import slopes_through_origin
 
@@ -77,8 +77,8 @@ def test_blinking_molecules_do_not_raise_the_gain():
 def test_leading_dark_frames_are_found_and_used():
     _, movie, dark = movie_and_dark("FF")
     together = np.concatenate([dark[:20], movie])
-    assert leading_dark_frames(together) == 20
-    assert leading_dark_frames(movie) == 0
+    assert lit_frames(together) == (20, 120)
+    assert lit_frames(movie) == (0, 100)
     found = calibrate(together, em_gain=500)
     assert found.camera.electrons_per_adu == pytest.approx(0.74, rel=0.04)
 

@@ -9,7 +9,7 @@ import napari_mufasa as nm
 from napari_mufasa.calibrate import calibrate, rows, unlit
 from napari_mufasa.calibrate.codes import code_widths
 from napari_mufasa.calibrate.dark import DarkFrames, measure_dark
-from napari_mufasa.calibrate.sample import leading_dark_frames
+from napari_mufasa.calibrate.sample import lit_frames
 
 SPOT = np.exp(-((np.arange(11) - 5.0)[:, None] ** 2 + (np.arange(11) - 5.0) ** 2) / (2 * 1.3**2))
 
@@ -161,10 +161,47 @@ def test_frames_of_less_light_are_not_dark_ones():
     image = 10 + spots()
     light = np.concatenate([np.broadcast_to(0.5 * image, (40, 64, 64)), np.broadcast_to(2 * image, (80, 64, 64))])
     movie = ccd(light, rng)
-    assert leading_dark_frames(movie) == 40
+    assert lit_frames(movie) == (40, 120)
     found = calibrate(movie, camera_type="CCD")
     assert any("not taken for dark frames" in note for note in found.notes)
     assert found.baseline_adu.holds(100.0) and found.adu_per_photoelectron.holds(1.0)
+
+
+@pytest.mark.parametrize("ends", [(20, 0), (0, 20), (20, 20)])
+@pytest.mark.parametrize("given", [True, False])
+def test_unlit_ends_of_a_movie_are_no_light(ends, given):
+    """Whether dark frames are given or not. With them the unlit ones were taken for light: with both ends unlit ADU per
+    photoelectron was 5.4 ± 4.4."""
+    rng = np.random.default_rng(11)
+    lit, before, after = (
+        ccd(np.broadcast_to(light, (n, 64, 64)), rng)
+        for light, n in zip((20 + spots(), np.zeros((64, 64)), np.zeros((64, 64))), (100, *ends), strict=True)
+    )
+    movie, dark = np.concatenate([before, lit, after]), ccd(np.zeros((60, 64, 64)), rng)
+    assert lit_frames(movie) == (ends[0], ends[0] + 100)
+    found = calibrate(movie, dark if given else None, camera_type="CCD")
+    assert (found.leading_dark, found.trailing_dark) == ends
+    assert found.p_value > 1e-3  # false alarm: some 1 in 1000
+    assert abs(found.adu_per_photoelectron.value - 1) < 5 * found.adu_per_photoelectron.sd < 0.1
+    told = [f"{start} to {start + n - 1}" for start, n in zip((0, ends[0] + 100), ends, strict=True) if n]
+    assert all(any(one in note and "dark" in note for note in found.notes) for one in told)
+
+
+def test_ends_that_are_dim_by_the_dark_frames_are_light():
+    rng = np.random.default_rng(12)
+    image = 10 + spots()
+    light = np.concatenate([np.broadcast_to(0.3 * image, (40, 64, 64)), np.broadcast_to(image, (80, 64, 64))])
+    movie, dark = ccd(light, rng), ccd(np.zeros((60, 64, 64)), rng)
+    found = calibrate(movie, dark, camera_type="CCD")
+    assert lit_frames(movie) == (40, 120) and found.leading_dark == 0
+    assert not any("frames 0 to" in note for note in found.notes)
+
+
+def test_only_the_ends_of_a_long_movie_are_looked_at_and_what_lies_between_is_no_fall():
+    level = np.repeat([0.0, 500.0, 300.0, 0.0], [30, 570, 570, 30])  # bleached by the end, in frames not looked at
+    movie = np.random.default_rng(13).normal(100 + level[:, None, None], 5.0, (1200, 8, 8))
+    assert lit_frames(movie) == (30, 1170)
+    assert lit_frames(movie[:1170]) == (30, 1170) and lit_frames(movie[30:1170]) == (0, 1140)
 
 
 @pytest.mark.parametrize(("dim_e", "is_shadow"), [(0.0, True), (5.0, False)])

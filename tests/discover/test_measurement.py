@@ -29,9 +29,26 @@ def test_frames_before_the_light_comes_on_are_dark_frames():
     assert found.notes == ("Frames 0 to 29 are dark: they are taken as dark frames, the others as the movie.",)
 
 
-def test_dark_frames_that_are_given_and_a_few_that_are_not_leave_the_movie_as_it_is():
-    whole, dark, _ = begun_dark(30)
-    np.testing.assert_array_equal(prepare(whole, model(), dark).movie, whole)
+def test_unlit_ends_are_left_out_where_dark_frames_are_given_too():
+    whole, dark, lit = begun_dark(30)
+    found = prepare(whole, model(), dark)
+    np.testing.assert_array_equal(found.movie, lit)
+    np.testing.assert_array_equal(found.dark, dark)
+    assert found.notes == ("Frames 0 to 29 are dark: they are left out.",)
+    ended = prepare(np.concatenate([lit, dark]), model(), dark)
+    np.testing.assert_array_equal(ended.movie, lit)
+    assert ended.whole == lit.shape == ended.movie.shape and ended.model.acquisition.n_frames == len(lit)
+    assert ended.notes == ("Frames 60 to 89 are dark: they are left out.",)
+
+
+def test_light_that_falls_to_a_fifth_is_not_gone_by_the_dark_frames():
+    falls = effect_class("laser_drift")(change=-0.8, form="step", step_at=0.6)
+    fallen = model().with_effects(falls).with_values({"optics.background_photons_per_px": 60.0})
+    movie = nm.simulate(fallen, seed=1).movie
+    assert prepare(movie, model(), nm.simulate_dark(model(), 30, seed=2)).movie.shape == movie.shape
+
+
+def test_a_few_dark_frames_before_the_light_do_not_serve_as_dark_frames():
     few = begun_dark(LEAST_DARK - 1)[0]
     assert prepare(few, model()).dark is None
 

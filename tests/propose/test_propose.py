@@ -55,8 +55,8 @@ def test_molecules_brighter_than_a_typical_dye_are_proposed_as_bright_as_they_ar
     assert level.holds(nm.predict(model).detected_e_per_frame) and told == pytest.approx(level.value, rel=1e-3)
 
 
-@pytest.mark.parametrize("head", ["dark", "dim"])
-def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, head, tmp_path):
+@pytest.mark.parametrize(("head", "given"), [("dark", False), ("dark", True), ("dim", False)])
+def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, head, given, tmp_path):
     uneven = effect_class("illumination_profile")(edge_dimming=0.8)
     light_on = {"excitation.power_density_w_per_cm2": 12.0, "optics.background_photons_per_px": 60.0}
     model = nm.preset("FF").with_values(SHAPE | light_on | {"camera.electrons_per_adu": 20.0}).with_effects(uneven)
@@ -70,8 +70,9 @@ def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, 
 
     monkeypatch.setattr(proposal, "seen_in", seen_in)
     movie = nm.simulate(model, seed=1).movie
-    given = zarr.create_array(tmp_path / "given.zarr", data=np.concatenate([before, movie]), chunks=(10, 96, 96))
-    found = nm.propose_model(given, instrument=Instrument(em_gain=500.0))
+    whole = zarr.create_array(tmp_path / "whole.zarr", data=np.concatenate([before, movie]), chunks=(10, 96, 96))
+    dark = nm.simulate_dark(model, 60, seed=2) if given else None
+    found = nm.propose_model(whole, dark, instrument=Instrument(em_gain=500.0))
     assert "frames 0 to 19 are dark" in found.calibration.notes[0]
     assert looked_at[0].shape[0] == len(movie) + (20 if head == "dim" else 0)
     assert not isinstance(looked_at[0], np.ndarray)  # of an array on disk no part was read at once

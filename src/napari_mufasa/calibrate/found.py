@@ -82,7 +82,7 @@ class Calibration:
     em_gain, electrons_per_adu : one of them as given, the other with its interval
     stray : electrons of dark frames that are not quite dark
     saturation_adu : where counts pile up; None: nowhere
-    leading_dark : frames at the movie's beginning that were taken for dark frames
+    leading_dark, trailing_dark : frames at the movie's beginning and end without light
     camera : a `Camera` with these values; curve : photon transfer (mean − baseline, variance − dark) in ADU
     notes : what was assumed · type_untold : words where the camera's type was not given, and its counts do not tell it
     """
@@ -106,6 +106,7 @@ class Calibration:
     notes: list[str] = field(default_factory=list)
     stray: Stray | None = None
     leading_dark: int = 0
+    trailing_dark: int = 0
     type_untold: str | None = None
 
     @property

@@ -24,7 +24,7 @@ from napari_mufasa.calibrate.found import Calibration
 from napari_mufasa.calibrate.instrument import camera_of
 from napari_mufasa.calibrate.kind import doubt, kind_of
 from napari_mufasa.calibrate.light import Light
-from napari_mufasa.calibrate.sample import leading_dark_frames, lit_chunks, shadow, some_frames
+from napari_mufasa.calibrate.sample import DIM, lit_chunks, lit_frames, shadow, some_frames
 from napari_mufasa.camera.darkness import FRAMES as LOOKED_AT
 from napari_mufasa.camera.darkness import light_in_dark
 from napari_mufasa.errors import MufasaError
@@ -57,7 +57,7 @@ def calibrate(
     Parameters
     ----------
     movie : (frame, y, x) ADU under light that is steady from frame to frame
-    dark : (frame, y, x) frames without light; without them dark frames at the movie's beginning are looked
+    dark : (frame, y, x) frames without light; without them dark frames at the movie's beginning or end are looked
         for, then a part of the chip in shadow, and failing that the baseline is where the fitted variance vanishes,
         with the read noise that the histogram shows: intervals are wider then
     camera_type : None: an EMCCD where an EM gain above 1 is given, else what the histogram, or the counts that a
@@ -123,17 +123,8 @@ def _calibrated(
     shape, baseline_adu = tuple(movie.shape), assumed.baseline_adu
     excess_noise_factor, clock_induced_charge_e = assumed.excess_noise_factor, assumed.clock_induced_charge_e
     register, notes = camera_type == "EMCCD", list[str]()
-    first = 0
-    if dark is None and baseline_adu is None:
-        first = leading_dark_frames(movie)
-        dark = np.asarray(movie[:first]) if first else None
-        if first and light_in_dark(some_frames(movie, LOOKED_AT, first), dark):
-            notes.append(
-                f"frames 0 to {first - 1} are darker, but show what the others show: not taken for dark frames"
-            )
-            first, dark = 0, None
-        elif first:
-            notes.append(f"frames 0 to {first - 1} are dark and were used as dark frames")
+    first, stop, dark = _unlit_ends(movie, dark, baseline_adu, notes)
+    movie = checks.unread(movie)[:stop] if stop < shape[0] else movie
     chunks = lit_chunks(movie, first, progress, cancel)
     _, height, width = chunks[0].shape
     if height * width < shape[1] * shape[2]:
@@ -161,7 +152,7 @@ def _calibrated(
     full = saturation_adu(chunks, lit)
     if full is not None:
         notes.append(f"counts pile up at {full:g} ADU: the movie is saturated there; {_spared(chunks, lit, full)}")
-    seen = Light(chunks, lit, shape[0] - first)
+    seen = Light(chunks, lit, stop - first)
     if seen_dark is not None and frames is not None and (seen_dark.charge.value > 0 or seen_dark.stray):
         # What an electron looks like in the dark depends on the kernel, which the light tells.
         weights = weights_of(kernel_of(seen, seen_dark, seen_dark.variance, assumed)[0])
@@ -179,8 +170,36 @@ def _calibrated(
     if full is not None:
         camera = camera.model_copy(update={"adc_max": min(int(full), camera.adc_max)})
     return replace(
-        found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full, leading_dark=first
-    )
+        found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full, leading_dark=first,
+        trailing_dark=shape[0] - stop,
+    )  # fmt: skip
+
+
+def _unlit_ends(movie: Any, dark: Any, baseline_adu: float | None, notes: list[str]) -> tuple[int, int, Any]:
+    """The movie's first lit frame, that after its last one, and its dark frames: those given, else what is dark at its
+    beginning, or at its end."""
+    n = int(movie.shape[0])
+    first, stop = lit_frames(movie)
+    ends = [(start, end) for start, end in ((0, first), (stop, n)) if start < end]
+    if not ends:
+        return 0, n, dark
+    told = " and ".join(f"{start} to {end - 1}" for start, end in ends)
+    parts = [checks.unread(movie)[start:end] for start, end in ends]
+    if dark is None and baseline_adu is None:
+        own = np.asarray(parts[0])
+        if light_in_dark(some_frames(checks.unread(movie)[:stop], LOOKED_AT, first), own):
+            notes.append(f"frames {told} are darker, but show what the others show: not taken for dark frames")
+            return 0, n, None
+        used, *others = told.split(" and ")
+        notes.append(f"frames {used} are dark and were used as dark frames")
+        notes += [f"frames {other} are dark: left out" for other in others]
+        return first, stop, own
+    level = float(baseline_adu or 0.0) if dark is None else float(np.mean(some_frames(dark, LOOKED_AT)))
+    light = float(np.mean(some_frames(checks.unread(movie)[:stop], LOOKED_AT, first))) - level
+    if any(abs(float(np.mean(some_frames(part, LOOKED_AT))) - level) > DIM * light for part in parts):
+        return 0, n, dark
+    notes.append(f"frames {told} are dark: left out")
+    return first, stop, dark
 
 
 def check_given(

@@ -14,6 +14,8 @@ from napari_mufasa.errors import Cancelled, MufasaError
 CHUNKS = 10  # parts of the movie whose spread gives uncertainties
 CHUNK_FRAMES = 16  # in each at least
 CHUNK_BYTES = 2**25  # of each at most, as float32
+END_FRAMES = 500  # at either end of a movie, among which dark ones are looked for
+DIM = 0.1  # of the light, that frames before or after it may hold and be dark, where the dark level is known
 MOST_PX = 2**20  # of the field, in its middle, that are looked at one by one
 DARK_SHARE = 0.05  # of the field that must lie in shadow to be used
 DARK_BLOCK_PX = 8
@@ -66,21 +68,25 @@ def some_frames(stack: Any, n: int, first: int = 0, part: tuple[slice, ...] = ()
     return np.stack([np.asarray(stack[(int(t), *part)]) for t in chosen])
 
 
-def leading_dark_frames(movie: Any) -> int:
-    """How many frames at the beginning are dark: before a sudden, lasting rise of the mean; 0 if none."""
+def lit_frames(movie: Any) -> tuple[int, int]:
+    """First frame under light, and that after the last one: what lies before a sudden, lasting rise of the mean, and
+    after such a fall, is dark; (0, number of frames) where there is none. Looks at both ends, `END_FRAMES` of each."""
     n = int(movie.shape[0])
     step = max(1, int(np.sqrt(movie.shape[1] * movie.shape[2] / 4096)))
-    level = np.array([float(np.mean(np.asarray(movie[i])[::step, ::step])) for i in range(min(n, 500))])
+    looked = np.array([i for i in range(n) if min(i, n - 1 - i) < END_FRAMES])
+    level = np.array([float(np.mean(np.asarray(movie[int(i)])[::step, ::step])) for i in looked])
     if len(level) < 8:
-        return 0
-    jumps = np.diff(level)
-    at = int(np.argmax(jumps))
-    before, after = level[: at + 1], level[at + 1 :]
-    if len(before) < 3 or len(after) < 3:
-        return 0
-    usual = max(float(np.std(before)), 1e-9)
-    # The first lit frame may be lit in part; the dark ones are alike and all below all lit ones.
-    return at + 1 if before.max() + 10 * usual < after.min() else 0
+        return 0, n
+    jumps = np.diff(level) * (np.diff(looked) == 1)
+    rise, fall, end = int(np.argmax(jumps)) + 1, int(np.argmin(jumps)) + 1, len(level)
+    for first, last in ((rise, fall), (rise, end), (0, fall)):
+        lit, ends = level[first:last], [part for part in (level[:first], level[last:]) if len(part)]
+        if min(len(lit), *(len(part) for part in ends)) < 3:
+            continue
+        # The first lit frame may be lit in part; the dark ones are alike and all below all lit ones.
+        if all(part.max() + 10 * max(float(np.std(part)), 1e-9) < lit.min() for part in ends):
+            return int(looked[first]), n if last == end else int(looked[last])
+    return 0, n
 
 
 def shadow(chunks: list[NDArray[np.float32]]) -> NDArray[np.bool_] | None:

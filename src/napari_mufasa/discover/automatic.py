@@ -39,7 +39,8 @@ def diagnose(
     ----------
     movie : (frame, y, x) counts (ADU), array or lazy array
     model : the model believed; its shape and length are taken from the movie
-    dark : (frame, y, x) dark frames; None: those of the movie before the light comes on, if there are any
+    dark : (frame, y, x) dark frames; None: those of the movie before the light comes on, if there are any; the movie's
+        own are left out either way
     seed : the same seed gives the same answer
     effects : kinds to consider; None: the whole catalogue that suits the camera, uncommon effects where the common
         ones leave the model far off its floor

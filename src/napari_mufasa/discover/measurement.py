@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa import camera as detector
 from napari_mufasa import checks
-from napari_mufasa.calibrate.sample import leading_dark_frames, window
+from napari_mufasa.calibrate.sample import DIM, lit_frames, window
 from napari_mufasa.camera.darkness import light_in_dark
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.errors import MufasaError
@@ -22,7 +22,7 @@ FRAMES = 600  # a diagnosis looks at no more frames …
 VOXELS = 6_000_000  # … and pixels times frames than this
 DARK_FRAMES = 60
 LEAST_FRAMES, LEAST_DARK = 20, 5
-UNLIT = 0.3  # of the light: frames that hold less of it were recorded before it came on …
+UNLIT = 0.3  # of the light: frames that hold less of it, above a baseline that is believed, were recorded without it …
 ALL_OVER = 0.5  # … if it comes on all over the field: so much of its mean in the middle pixel
 
 
@@ -60,11 +60,7 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     region = (slice(0, frames), rows, columns)
     data = _counts(np.asarray(movie[region]), "movie", model)
     Frames(data, model.in_shape(maps=None).camera).check_light()
-    dark_data = None
-    if dark is None and LEAST_DARK <= (first := _lit_from(data, model)) <= frames - LEAST_FRAMES:
-        dark_data, data = data[max(first - DARK_FRAMES, 0) : first], data[first:]
-        region, shape = (slice(0, len(data)), rows, columns), (shape[0] - first, *shape[1:])
-        notes.append(f"Frames 0 to {first - 1} are dark: they are taken as dark frames, the others as the movie.")
+    dark_data, level_adu, share = None, model.camera.baseline_adu, UNLIT
     if dark is not None:
         dark = checks.dark_stack(dark, shape[1:])
         if (n_dark := int(dark.shape[0])) < LEAST_DARK:
@@ -72,6 +68,20 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         if told := light_in_dark(movie, dark):
             warnings.warn(told, stacklevel=3)
         dark_data = _counts(np.asarray(dark[:DARK_FRAMES, rows, columns]), "dark stack", model)
+        level_adu, share = float(dark_data.mean()), DIM
+    first, stop = _lit(data, level_adu, share)
+    first = first if dark_data is not None or first >= LEAST_DARK else 0
+    begin = first
+    if (first, stop) != (0, frames) and stop - begin >= LEAST_FRAMES:
+        if first:
+            used = "left out" if dark_data is not None else "taken as dark frames, the others as the movie"
+            notes.append(f"Frames 0 to {first - 1} are dark: they are {used}.")
+        if stop < frames:
+            notes.append(f"Frames {stop} to {frames - 1} are dark: they are left out.")
+        if first and dark_data is None:
+            dark_data = data[max(begin - DARK_FRAMES, 0) : first]
+        data, shape = data[begin:stop], ((stop if frames == shape[0] else shape[0]) - begin, *shape[1:])
+        region = (slice(0, len(data)), rows, columns)
     whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
     here = whole.in_shape(region=region).with_values({"sample.layout": "random"})
     return Measurement(data, dark_data, here, tuple(notes), Extent.of(region, shape), shape)
@@ -86,16 +96,20 @@ def cropped(model: Model) -> Model:
     return part.with_values({"sample.n_molecules": max(1, round(model.sample.n_molecules * area))})
 
 
-def _lit_from(movie: NDArray[np.uint16], model: Model) -> int:
-    """The frame at which the light comes on; 0 unless those before it are dark, as the model's camera has it."""
-    first = leading_dark_frames(movie)
-    if first == 0:
-        return 0
-    parts = slice(max(first - DARK_FRAMES, 0), first), slice(first, first + DARK_FRAMES)
-    before, after = (movie[part].mean(axis=0) for part in parts)
-    rise = after - before
-    dark = float(before.mean()) - model.camera.baseline_adu < UNLIT * float(rise.mean())
-    return first if dark and float(np.median(rise)) > ALL_OVER * float(rise.mean()) else 0
+def _lit(movie: NDArray[np.uint16], level_adu: float, share: float) -> tuple[int, int]:
+    """First lit frame and that after the last one; all are lit unless those before and after hold less than a share of
+    the light above the dark level, and it comes and goes all over the field."""
+    first, stop = lit_frames(movie)
+    unlit = [
+        part for part in (movie[max(first - DARK_FRAMES, 0) : first], movie[stop : stop + DARK_FRAMES]) if len(part)
+    ]
+    light = movie[first : min(first + DARK_FRAMES, stop)].mean(axis=0)
+    for part in unlit:
+        rise = light - part.mean(axis=0)
+        dark = float(part.mean()) - level_adu < share * float(rise.mean())
+        if not dark or float(np.median(rise)) <= ALL_OVER * float(rise.mean()):
+            return 0, len(movie)
+    return first, stop
 
 
 def _shape(movie: Any) -> tuple[int, int, int]:

@@ -101,8 +101,7 @@ def propose_model(
     }  # fmt: skip
     camera, found = _camera(movie, dark, known, asked, unknown, notes, cancel)
     timing = _timing(movie, written, pixel_size_nm, frame_length_s, unknown)
-    lit = checks.unread(movie)[found.leading_dark :] if found is not None and found.leading_dark else movie
-    seen = seen_in(lit, camera, dark, *_doubts(found), progress=progress, cancel=cancel)
+    seen = seen_in(_lit(movie, found), camera, dark, *_doubts(found), progress=progress, cancel=cancel)
     notes += seen.traces.notes
     if seen.width_from == "short runs":
         notes.append(
@@ -116,6 +115,13 @@ def propose_model(
     model = _model(camera, timing, written.wavelength_nm or ASSUMED["wavelength_nm"], seen, unknown)
     values = _values(found, seen, timing, model)
     return Proposal(model, values, unknown, tuple(notes), written, found)
+
+
+def _lit(movie: Any, found: Calibration | None) -> Any:
+    """The movie without its unlit ends."""
+    if found is None or not (found.leading_dark or found.trailing_dark):
+        return movie
+    return checks.unread(movie)[found.leading_dark : movie.shape[0] - found.trailing_dark]
 
 
 def _adc_max(movie: Any, bit_depth: int | None, notes: list[str]) -> int:
@@ -145,7 +151,7 @@ def _camera(
             raise MufasaError(f"its noise would mean {light_e:.1g} photoelectrons in every pixel")
     except MufasaError as error:
         kind = kind or "CCD"
-        unknown["camera"] = f"could not be measured ({error}); a {kind} of one electron per count is taken"
+        unknown["camera"] = f"could not be measured ({error}); {kind} with one electron per count is taken"
         unknown["optics.background_photons_per_px"] = "without the camera, counts are no photons"
         return _plain_camera(movie, dark, kind, asked), None
     notes += [note for note in found.notes if note != found.type_untold]
