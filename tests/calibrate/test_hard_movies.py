@@ -187,6 +187,16 @@ def test_unlit_ends_of_a_movie_are_no_light(ends, given):
     assert all(any(one in note and "dark" in note for note in found.notes) for one in told)
 
 
+@pytest.mark.parametrize("n_lit", [100, 101])
+def test_dark_frames_at_the_end_tell_of_even_frames_as_the_movie_counts_them(n_lit):
+    rng = np.random.default_rng(14)
+    movie = ccd(np.broadcast_to(20 + spots(), (n_lit, 64, 64)), rng)
+    movie = np.concatenate([movie, ccd(np.zeros((40, 64, 64)), rng)])
+    movie[::2] += 3
+    found = calibrate(movie, camera_type="CCD")
+    assert found.trailing_dark == 40 and found.readout.alternation_adu.value == pytest.approx(1.5, abs=0.1)
+
+
 def test_ends_that_are_dim_by_the_dark_frames_are_light():
     rng = np.random.default_rng(12)
     image = 10 + spots()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 
 import napari_mufasa as nm
 from napari_mufasa.discover.measurement import LEAST_DARK, prepare
 from napari_mufasa.effects import effect_class
+from napari_mufasa.files.layers import measurement_of
 
 SMALL = {"acquisition.shape_px": (48, 48), "acquisition.n_frames": 60, "sample.n_molecules": 10}
 
@@ -39,6 +42,21 @@ def test_unlit_ends_are_left_out_where_dark_frames_are_given_too():
     np.testing.assert_array_equal(ended.movie, lit)
     assert ended.whole == lit.shape == ended.movie.shape and ended.model.acquisition.n_frames == len(lit)
     assert ended.notes == ("Frames 60 to 89 are dark: they are left out.",)
+
+
+def test_what_is_left_of_a_movie_begins_with_an_even_frame():
+    """Even and odd frames may have baselines of their own, and a model speaks of the whole movie's."""
+    whole, dark, lit = begun_dark(29)
+    for found in (prepare(whole, model()), prepare(whole, model(), dark)):
+        np.testing.assert_array_equal(found.movie, lit[1:])
+        assert found.notes[0].startswith("Frames 0 to 28 are dark")
+    many = np.concatenate([nm.simulate_dark(model(), 71, seed=2), lit])
+    np.testing.assert_array_equal(prepare(many, model()).dark, many[12:71])
+    layer = SimpleNamespace(data=whole, metadata={}, name="movie")
+    cut = measurement_of(layer, dark_frames=29)
+    np.testing.assert_array_equal(cut.movie, lit[1:])
+    np.testing.assert_array_equal(cut.dark, dark)
+    assert cut.first_frame == 30
 
 
 def test_light_that_falls_to_a_fifth_is_not_gone_by_the_dark_frames():

@@ -12,6 +12,7 @@ import zarr
 from tests.real_data import real_data
 
 import napari_mufasa as nm
+from napari_mufasa.camera.detector import photoelectrons
 from napari_mufasa.effects import effect_class
 from napari_mufasa.files.instrument import Instrument, read_instrument
 from napari_mufasa.model.cameras import CAMERAS, camera_type_of
@@ -76,6 +77,35 @@ def test_frames_before_the_light_are_left_out_and_dim_ones_are_not(monkeypatch, 
     assert "frames 0 to 19 are dark" in found.calibration.notes[0]
     assert looked_at[0].shape[0] == len(movie) + (20 if head == "dim" else 0)
     assert not isinstance(looked_at[0], np.ndarray)  # of an array on disk no part was read at once
+
+
+@pytest.mark.parametrize("n_dark", [20, 21])
+@pytest.mark.parametrize("given", [True, False])
+def test_an_alternating_baseline_keeps_its_phase_whatever_the_number_of_dark_frames(monkeypatch, n_dark, given):
+    """It is told of the whole movie's even and odd frames, and taken off what is looked at as it lies there: by an odd
+    number of frames cut off, twice of it was left: 6 ADU of even less odd frames."""
+    rng = np.random.default_rng(3)
+    electrons = np.zeros((n_dark + 100, 64, 64))
+    electrons[n_dark:] = np.linspace(10, 60, 64)
+
+    def counted(expected):
+        even = 1.5 * (1 - 2 * (np.arange(len(expected)) % 2))[:, None, None]
+        return np.floor(100 + even + rng.poisson(expected) + rng.normal(0, 4, expected.shape)).astype(np.uint16)
+
+    looked_at = []
+
+    def seen_in(movie, camera, *rest, **how):
+        looked_at.append(photoelectrons(np.asarray(movie), camera).mean(axis=(1, 2)))
+        return light.seen_in(movie, camera, *rest, **how)
+
+    monkeypatch.setattr(proposal, "seen_in", seen_in)
+    dark = counted(np.zeros((60, 64, 64))) if given else None
+    found = nm.propose_model(counted(electrons), dark, camera_type="CCD")
+    assert found.model.camera.baseline_alternation_adu == pytest.approx(1.5, abs=0.1)
+    (level,) = looked_at
+    # Means of 4096 pixels of some 39 electrons: 0.1 in a frame, 0.014 in 50 pairs of them.
+    assert abs(level[0::2].mean() - level[1::2].mean()) < 0.1
+    assert len(level) == 100 - n_dark % 2
 
 
 def test_the_width_by_fluctuations_reads_a_few_frames_at_a_time(bright):

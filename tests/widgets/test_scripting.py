@@ -359,10 +359,15 @@ def test_molecules_that_are_followed_come_with_their_paths(layer, bright_movie, 
 
     widget = widgets.traces_widget()
     widget.movie.value, widget.model.value = layer, bright_model
-    widget.dark_frames.value, widget.follow_molecules.value = 3, True
+    widget.dark_frames.value, widget.follow_molecules.value = 3, True  # three dark frames: the movie begins with 4
     points, tracks = widget()
     wanted = extract_traces(
-        bright_movie.movie[3:], bright_model.camera, follow_molecules=True, threshold_value=6.0, min_snr=1.0
+        bright_movie.movie[4:],
+        bright_model.camera,
+        bright_movie.movie[:3],
+        follow_molecules=True,
+        threshold_value=6.0,
+        min_snr=1.0,
     )
     table = wanted.molecules[wanted.kept]
     assert isinstance(points, Points) and isinstance(tracks, Tracks)
@@ -372,4 +377,4 @@ def test_molecules_that_are_followed_come_with_their_paths(layer, bright_movie, 
     rows = tracks.data[tracks.data[:, 0] == one["molecule"]]
     assert len(rows) == one["last_found"] - one["first_found"] + 1
     assert np.allclose(rows[:, 2:], wanted.path_px[one["molecule"], one["first_found"] : one["last_found"] + 1])
-    assert tuple(tracks.scale) == (1, 0.1, 0.1) and tracks.translate[0] == 3
+    assert tuple(tracks.scale) == (1, 0.1, 0.1) and tracks.translate[0] == 4

@@ -186,7 +186,8 @@ def _unlit_ends(movie: Any, dark: Any, baseline_adu: float | None, notes: list[s
     told = " and ".join(f"{start} to {end - 1}" for start, end in ends)
     parts = [checks.unread(movie)[start:end] for start, end in ends]
     if dark is None and baseline_adu is None:
-        own = np.asarray(parts[0])
+        # An even frame first: the baseline of odd ones may differ.
+        own = np.asarray(parts[0][ends[0][0] % 2 :])
         if light_in_dark(some_frames(checks.unread(movie)[:stop], LOOKED_AT, first), own):
             notes.append(f"frames {told} are darker, but show what the others show: not taken for dark frames")
             return 0, n, None

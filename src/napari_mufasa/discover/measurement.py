@@ -71,7 +71,7 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         level_adu, share = float(dark_data.mean()), DIM
     first, stop = _lit(data, level_adu, share)
     first = first if dark_data is not None or first >= LEAST_DARK else 0
-    begin = first
+    begin = first + first % 2  # an even frame: the baseline of odd ones may differ
     if (first, stop) != (0, frames) and stop - begin >= LEAST_FRAMES:
         if first:
             used = "left out" if dark_data is not None else "taken as dark frames, the others as the movie"

@@ -112,7 +112,7 @@ class Measurement:
     """What was recorded: `movie` and `dark` (frame, y, x) as stored in the layers, possibly lazy; `name` for titles.
 
     `unit` is "adu" for what a camera recorded, "photons" for a movie that was denoised. `first_frame` is the layer's
-    frame that `movie` begins with: dark frames before it are cut off.
+    frame that `movie` begins with, an even one: dark frames before it are cut off.
     """
 
     movie: Any
@@ -131,7 +131,8 @@ class Measurement:
 def measurement_of(movie: Any, dark: Any = None, dark_frames: int = 0) -> Measurement:
     """What layers hold as a measurement; raises `MufasaError` that says what to choose.
 
-    dark : a layer of dark frames; dark_frames : or how many frames of the movie are dark, at its beginning
+    dark : a layer of dark frames; dark_frames : or how many frames of the movie are dark, at its beginning; of an odd
+        number the frame after them is left out, too
     """
     if movie is None:
         raise MufasaError("no movie chosen: open one, or File > Open Sample > MUFASA, then choose it in step Data")
@@ -140,12 +141,14 @@ def measurement_of(movie: Any, dark: Any = None, dark_frames: int = 0) -> Measur
         frames = stack_of(dark)
     elif dark_frames:
         first = dark_frames
-        if first >= len(stack):
+        if first + first % 2 >= len(stack):
             raise MufasaError(
                 f"of {movie.name} {counted(first, 'frame')} at the start should be dark, but it has {len(stack)}: give "
                 "fewer dark frames"
             )
-        stack, frames = stack[first:], stack[:first]
+        frames = stack[:first]
+        first += first % 2  # an even frame: the baseline of odd ones may differ
+        stack = stack[first:]
     unit: Literal["adu", "photons"] = "photons" if stored(movie, "role") == PHOTONS else "adu"
     return Measurement(stack, frames, movie.name, unit, first)
 

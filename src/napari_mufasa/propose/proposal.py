@@ -118,10 +118,11 @@ def propose_model(
 
 
 def _lit(movie: Any, found: Calibration | None) -> Any:
-    """The movie without its unlit ends."""
+    """The movie without its unlit ends, from an even frame on: the baseline of odd ones may differ."""
     if found is None or not (found.leading_dark or found.trailing_dark):
         return movie
-    return checks.unread(movie)[found.leading_dark : movie.shape[0] - found.trailing_dark]
+    first = found.leading_dark + found.leading_dark % 2
+    return checks.unread(movie)[first : movie.shape[0] - found.trailing_dark]
 
 
 def _adc_max(movie: Any, bit_depth: int | None, notes: list[str]) -> int:
