@@ -26,7 +26,7 @@ from napari_mufasa.compare.fit import Fit
 from napari_mufasa.effects import effect_class
 from napari_mufasa.files.traces import read_traces
 from napari_mufasa.files.whole import write_json
-from napari_mufasa.traces.dynamics import dynamics
+from napari_mufasa.traces.dynamics import dark_level, dynamics
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 
@@ -193,6 +193,50 @@ def test_the_background_in_a_trace_is_that_of_all_its_pixels(profile):
     assert bleached.mean() > 0.67 - 3 * 0.04
     background = found.fit.values["optics.background_photons_per_px"]
     assert background == pytest.approx(model.optics.background_photons_per_px, rel=0.15)
+
+
+def holding_their_background(background, rate_per_movie, n=120, seed=5):
+    """A model of 10 background photons per pixel, and traces of one with `background`, 100 frames, profile psf."""
+    from napari_mufasa.compare.simulated import FarApart
+    from napari_mufasa.traces import Options
+
+    model = nm.Model.from_dict(generator.base_model("cmos")).with_values({"acquisition.n_frames": 100})
+    model = model.with_effects(
+        effect_class("photobleaching")(rate_per_s=rate_per_movie / (100 * model.acquisition.interval_s))
+    )
+    options = Options(psf_sigma_px=model.sigma_px, profile="psf", subtract_background=False)
+    field = FarApart(model.sigma_px, n, options, 3, quick=True)
+    true = model.with_values({"optics.background_photons_per_px": background})
+    return model, field.traces(field.acquisition(true, seed))
+
+
+@pytest.mark.parametrize("background", [3.0, 10.0, 30.0])
+@pytest.mark.parametrize("window", [None, 20])
+def test_light_is_told_above_the_background_measured(background, window):
+    """Whatever is believed of it: by the model's 10 photons, all or none of the molecules would seem to shine."""
+    model, traces = holding_their_background(background, 1.5)
+    found = compare_traces(traces, model, background_subtracted=False, window=window, fit=False, n_bootstrap=2)
+    seen = found.samples["measured"]
+    level = nm.predict(model).detected_e_per_frame
+    assert np.median(seen.dynamics.on_level) == pytest.approx(level, rel=0.1)
+    # exp(-0.1) - exp(-1.4) of them shine for seven frames and bleach seven before the end: 0.66, sd 0.044 of 120.
+    # Windows: of the 0.74 that live for 20 frames.
+    if window is None:
+        assert (seen.dynamics.bleaching_frame >= 0).mean() == pytest.approx(0.66, abs=4 * 0.044)
+    else:
+        assert len(seen.traces) / 120 == pytest.approx(0.74, abs=4 * 0.04)
+    assert not found.notes
+
+
+def test_a_background_that_nothing_tells_is_the_model_s_or_the_dimmest_trace_s():
+    model, traces = holding_their_background(10.0, 1e-3)
+    held = np.median(traces)
+    for believed, words in ((10.0, "as the model has it"), (30.0, "dimmest trace")):
+        here = model.with_values({"optics.background_photons_per_px": believed})
+        found = compare_traces(traces, here, background_subtracted=False, fit=False, n_bootstrap=2)
+        assert words in found.notes[0]
+        assert (found.samples["measured"].dynamics.on_level < held).all()
+    assert dark_level(traces) is None
 
 
 @pytest.mark.parametrize("window", [None, 15, 30])

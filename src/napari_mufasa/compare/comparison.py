@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
 from napari_mufasa.compare.distributions import Distribution, Sample, distributions
-from napari_mufasa.compare.fit import Fit, background_level_e, fit_gain, fit_model, fit_raw_traces
+from napari_mufasa.compare.fit import (
+    Fit,
+    background_held,
+    background_level_e,
+    fit_gain,
+    fit_model,
+    fit_raw_traces,
+)
 from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, background_weight, extract_simulated
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
@@ -198,7 +205,8 @@ def compare_traces(
     profile : what the traces hold: "brightest_pixel", "sum" or "psf"
     pixel_share : share of a molecule's light in its brightest pixel, if it is not the PSF's
     background_subtracted : whether the local background was taken off the traces (in ADU: the baseline, too); None:
-        yes, but for ADU, which are taken as recorded
+        yes, but for ADU, which are taken as recorded. Where it is in them, light is told above what traces fall to
+        when molecules go dark, or, where too few do, above the model's background
     window, best : cut measured and simulated traces alike to the `window` frames before bleaching in which
         they are active; of the measured ones keep the `best`, which a model's molecules are not where they differ
     n_simulated : simulated molecules (None: as many as measured, at least 200)
@@ -224,9 +232,16 @@ def compare_traces(
     steps = _Steps(progress, 5 if fit else 4, cancel)
     field = FarApart(model.sigma_px, n, options, seed, pixel_share)
     weight = 1.0 if field.one_pixel else background_weight(model.sigma_px, options)
-    pedestal_e = 0.0 if background_subtracted else background_level_e(model) * weight
+    notes: tuple[str, ...] = ()
 
-    def measured_like(values: NDArray[np.floating]) -> Sample:
+    def measured_like(values: NDArray[np.floating], believed: Model = model, gain: float = 1.0) -> Sample:
+        """Each by its own background, found in the same way."""
+        nonlocal notes
+        pedestal_e, note = 0.0, ""
+        if not background_subtracted:
+            pedestal_e, note = background_held(values, gain * weight * background_level_e(believed))
+        if values is electrons and note:
+            notes = (note,)
         return _cut(values, pedestal_e, window, best if values is electrons else None)
 
     def simulate(candidate: Model) -> NDArray[np.float32]:
@@ -254,9 +269,9 @@ def compare_traces(
         # Another seed than the fit used: the fit must not profit from its own chance. A fitted gain changes
         # what a photoelectron is worth in ADU; all samples stay in the unit of the model as given.
         again = field.acquisition(fitted.model, seed + 10)
-        samples["fitted"] = measured_like(gain * field.traces(again, cancel))
+        samples["fitted"] = measured_like(gain * field.traces(again, cancel), fitted.model, gain)
         steps.done()
-    notes = tuple(f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0)
+    notes += tuple(f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0)
     return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
 
 

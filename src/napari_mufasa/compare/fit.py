@@ -20,7 +20,7 @@ from napari_mufasa.effects import effect_from_data
 from napari_mufasa.model.model import Model
 from napari_mufasa.traces import TraceSet
 from napari_mufasa.traces.correlation import autocovariance
-from napari_mufasa.traces.dynamics import Dynamics, dynamics
+from napari_mufasa.traces.dynamics import Dynamics, dark_level, dynamics
 from napari_mufasa.traces.select import Choice
 
 ROUNDS = 3
@@ -127,6 +127,18 @@ def _with_fading(model: Model, constant_e: float, fading_e: float, rate: float, 
     values["background_decay.fraction"] = fraction
     effect = {"kind": "background_decay", "fraction": fraction, "time_constant_movies": 1 / max(rate, 1e-3)}
     return model.with_effects(effect_from_data(effect))
+
+
+def background_held(traces: NDArray[np.floating], believed_e: float) -> tuple[float, str]:
+    """Photoelectrons per frame that traces (molecule, frame) hold beside their molecules' light: what they fall to, or,
+    where too few go dark, what is believed, and a note that says so."""
+    if (dark := dark_level(traces)) is not None:
+        return dark, ""
+    dimmest = float(np.min(np.mean(traces, axis=1), initial=np.inf))
+    taken = f"{believed_e:.4g} photoelectrons per frame as the model has it"
+    if dimmest < believed_e:
+        taken = f"{dimmest:.4g} photoelectrons per frame, those of the dimmest trace (the model has {believed_e:.4g})"
+    return min(believed_e, dimmest), f"too few molecules go dark to tell the background in the traces: {taken}"
 
 
 def background_level_e(model: Model) -> float:

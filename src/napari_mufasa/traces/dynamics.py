@@ -16,6 +16,8 @@ LIT = 0.3  # a frame is lit where the idealised trace is above this share of the
 ON = 0.5  # segments above this share of the highest one make up the on level
 STEP = 0.3  # a drop counts as a bleaching step when it takes this share of the first level
 SUPPORTED = 5  # frames that a segment needs to say what the highest level is, where one of the trace has as many
+LEAST_FALLEN, FALLEN_BY_CHANCE = 5, 1e-3  # traces that tell the dark level; of so many where none has a step
+DARK_QUANTILE = 0.25  # of their lowest levels: some never go dark, a second molecule shines on or the first is dimmed
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,21 @@ def dynamics(traces: NDArray[np.floating], false_alarm_rate: float = 0.01) -> Dy
         n_steps=n_steps,
         n_blinks=np.where(shines, rises - (first > 0), 0),
     )
+
+
+def dark_level(traces: NDArray[np.floating], false_alarm_rate: float = 0.01) -> float | None:
+    """The level, in the traces' unit, that traces (trace, frame) fall to: the background that they hold where their
+    molecules bleach or blink, and a bound on it where those only become dimmer. None where too few fall at all."""
+    from scipy.stats import binom
+
+    lowest = []
+    for step in idealise(traces, false_alarm_rate):
+        levels = step.levels[step.lengths >= min(SUPPORTED, step.lengths.max())]
+        if len(levels) > 1:
+            lowest.append(levels.min())
+    if len(lowest) < max(LEAST_FALLEN, binom.isf(FALLEN_BY_CHANCE, len(traces), false_alarm_rate) + 1):
+        return None
+    return float(np.quantile(lowest, DARK_QUANTILE))
 
 
 def _on_level(steps: list[Steps], lengths: NDArray[np.int64], levels: NDArray[np.float64]) -> NDArray[np.float64]:
