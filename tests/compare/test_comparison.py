@@ -18,6 +18,7 @@ from napari_mufasa.compare import (
     comparison,
     difference_interval,
     distributions,
+    fit_model,
     to_photoelectrons,
 )
 from napari_mufasa.compare.comparison import is_without_background
@@ -237,6 +238,42 @@ def test_a_background_that_nothing_tells_is_the_model_s_or_the_dimmest_trace_s()
         assert words in found.notes[0]
         assert (found.samples["measured"].dynamics.on_level < held).all()
     assert dark_level(traces) is None
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_where_hardly_a_molecule_bleaches_light_and_background_stay_themselves(seed):
+    """Their mean is the same in every frame: it could be all background or all light. Brightness 0.0 to 2.9 was fitted,
+    and rates up to 15 per movie."""
+    model, traces = holding_their_background(10.0, 1e-3, seed=seed)
+    bleached = int((compare_traces(traces, model, background_subtracted=False, fit=False, n_bootstrap=2)
+                    .samples["measured"].dynamics.bleaching_frame >= 0).sum())  # fmt: skip
+    found = compare_traces(traces, model, background_subtracted=False, n_bootstrap=2)
+    values = found.fit.values
+    assert values["optics.brightness_correction"] == pytest.approx(1.0, abs=0.05)
+    assert values["optics.background_photons_per_px"] == pytest.approx(10.0, rel=0.02)
+    assert values["photobleaching.rate_per_s"] * 100 * model.acquisition.interval_s < 0.05
+    assert any(f"{bleached} of 120 molecules bleach" in note for note in found.notes)
+    assert found.w1["fitted"] < 3 * found.w1["floor"]
+
+
+def test_a_bleaching_that_no_molecule_tells_is_the_model_s():
+    """Three of 40 that bleach tell the rate, two its limit, and traces that never shine tell nothing."""
+    model = nm.Model.from_dict(generator.base_model("cmos")).with_values({"acquisition.n_frames": 50})
+    believed = model.with_effects(effect_class("photobleaching")(rate_per_s=0.3))
+    movie_s = 50 * model.acquisition.interval_s
+    traces = np.random.default_rng(0).normal(90, 15, (40, 50))
+    for bleached in (3, 2):
+        some = traces.copy()
+        some[:bleached, 25:] -= 90
+        fit = fit_model(some, believed, lambda candidate: traces)
+        assert fit.values["photobleaching.rate_per_s"] == pytest.approx(-np.log(1 - bleached / 40) / movie_s)
+        assert len(fit.notes) == (bleached < 3)
+    # Rates at which two or fewer of 39 · 50 frames' worth are seen once in 40 times: 7.22 of them are expected.
+    assert f"up to {7.22 / 39 / movie_s:.3g} 1/s" in fit.notes[0]
+    dark = fit_model(np.random.default_rng(1).normal(0, 15, (40, 50)), believed, lambda candidate: traces)
+    assert "photobleaching.rate_per_s" not in dark.values
+    assert [e for e in dark.model.effects if e.kind == "photobleaching"] == list(believed.effects)
+    assert "no molecule tells" in dark.notes[0]
 
 
 @pytest.mark.parametrize("window", [None, 15, 30])

@@ -362,6 +362,7 @@ def _compare(
     w1_traces |= {"floor": floor(real, rows="traces", n_splits=20, rng=rng).value, "unit": f"{unit}, whole traces"}
     shown = {name: s for name, s in samples.items() if len(s.traces)}
     curves = distributions(shown, unit, model.acquisition.interval_s)
+    notes = notes if fitted is None else (*notes, *fitted.notes)
     found = Comparison(w1, w1_traces, interval, bottom, samples, curves, model, fitted, measured, notes)
     if fitted is not None and found.nearer == "mufasa":
         found = replace(found, notes=(*notes, FIT_FAILED))

@@ -18,21 +18,25 @@ from numpy.typing import NDArray
 from napari_mufasa.camera.detector import multiplication_noise
 from napari_mufasa.effects import effect_from_data
 from napari_mufasa.model.model import Model
+from napari_mufasa.photophysics.rates import FEW_EVENTS, most_per_s
 from napari_mufasa.traces import TraceSet
-from napari_mufasa.traces.correlation import autocovariance
+from napari_mufasa.traces.correlation import lagged
 from napari_mufasa.traces.dynamics import Dynamics, dark_level, dynamics
 from napari_mufasa.traces.select import Choice
 
 ROUNDS = 3
 QUANTILES = 4000
+CHANCE_SD = 2.0  # of a difference of two variances: one in 20 is larger by chance
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The fitted model and the fitted values by name (dotted model path or effect.parameter)."""
+    """The fitted model, the fitted values by name (dotted model path or effect.parameter), and what the measurement
+    did not tell."""
 
     model: Model
     values: dict[str, float]
+    notes: tuple[str, ...] = ()
 
 
 def fit_model(
@@ -51,7 +55,9 @@ def fit_model(
     if isinstance(measured, TraceSet):
         fitted = _with_background(fitted, measured.background_e, values)
     real = _moments(measured)
-    fitted = _with_bleaching(fitted, _bleaching_rate(measured, model), values)
+    rate, notes = _bleaching_rate(measured, model)
+    if rate is not None:
+        fitted = _with_bleaching(fitted, rate, values)
     for i in range(rounds):
         traces = np.asarray(simulate(fitted))
         made = _moments(traces)
@@ -62,7 +68,7 @@ def fit_model(
         fitted = _brightened(fitted, _nearest_scale(measured, traces) if last else real.level / made.level, values)
         if made.n > 1 and not last:
             fitted = _with_spread(fitted, real.spread**2 - made.spread**2, values)
-    return Fit(fitted, values)
+    return Fit(fitted, values, notes)
 
 
 def fit_raw_traces(
@@ -71,10 +77,11 @@ def fit_raw_traces(
 ) -> Fit:  # fmt: skip
     """Fit traces (molecule, frame) from which no background was taken off, by moments.
 
-    Their mean over molecules is b + A·exp(−kt): b gives the background (`weight` pixels' worth of it), k the bleaching
-    rate, A (by comparison with the simulation) the brightness. The spread of brightness is what the slow variation
-    between molecules (covariance of successive frames about the mean course) needs beyond the simulation; where it
-    needs less, part of A is put into a background that fades smoothly (many dim molecules instead of a bright one).
+    Their mean over molecules is b + A·exp(−kt): b, the background (`weight` pixels' worth of it), is what they fall to
+    when molecules go dark, or that of the model where too few do; k gives the bleaching rate, A (by comparison with the
+    simulation) the brightness. The spread of brightness is what the slow variation between molecules (covariance of
+    successive frames about the mean course) needs beyond the simulation; where it needs less, part of A is put into a
+    background that fades smoothly (many dim molecules instead of a bright one). Neither where that may be chance.
     """
     from scipy.optimize import curve_fit
 
@@ -82,15 +89,16 @@ def fit_raw_traces(
     measured = np.asarray(measured, dtype=np.float64)
     course, n_frames = measured.mean(axis=0), measured.shape[1]
     t = np.arange(n_frames) / n_frames
+    b = max(background_held(measured, weight * background_level_e(model))[0], 1e-3)
 
-    def curve(t: NDArray[np.float64], b: float, a: float, k: float) -> NDArray[np.float64]:
-        return np.asarray(b + a * np.exp(-k * t))
+    def curve(t: NDArray[np.float64], a: float, k: float) -> NDArray[np.float64]:
+        return np.asarray(a * np.exp(-k * t))
 
-    start = (max(course.min() * 0.9, 1e-3), max(np.ptp(course), 1e-3), 1.0)
-    b, a, k = curve_fit(curve, t, course, p0=start, bounds=((0, 0, 0), (max(course.max(), 1e-2), np.inf, 20)))[0]
-    fitted = _with_background(model, float(b) / weight, values)
-    fitted = _with_bleaching(fitted, float(k) / (n_frames * model.acquisition.interval_s), values)
-    a, k = float(a), float(k)
+    start = (max(float(course[0]) - b, 1e-3), 1.0)
+    a, k = (float(v) for v in curve_fit(curve, t, course - b, p0=start, bounds=((0, 0), (np.inf, 20)))[0])
+    fitted = _with_background(model, b / weight, values)
+    fitted = _with_bleaching(fitted, k / (n_frames * model.acquisition.interval_s), values)
+    notes = _bleaching_rate(measured - b, model)[1]
     remaining = float(np.mean(np.exp(-k * t)))
     for i in range(rounds + 1):
         made: NDArray[np.float64] = np.asarray(simulate(fitted), dtype=np.float64)
@@ -100,14 +108,14 @@ def fit_raw_traces(
             continue
         wanted = a
         if i > 0:  # the first round only brings the brightness to A
-            slow_made = max(_slow_variance(made), 1e-9)
-            missing = _slow_variance(measured) - slow_made
-            wanted = min(a, per_molecule * float(np.sqrt(max(1 + missing / slow_made, 0.01))))
+            slow, slow_made = _slow_variances(measured), _slow_variances(made)
+            missing = _beyond_chance(slow, slow_made)
+            wanted = min(a, per_molecule * float(np.sqrt(max(1 + missing / max(slow_made.mean(), 1e-9), 0.01))))
             if wanted == a and missing > 0:
                 fitted = _with_spread(fitted, missing / (a * remaining) ** 2, values)
         fitted = _brightened(fitted, wanted / per_molecule, values)
-        fitted = _with_fading(fitted, float(b) / weight, (a - wanted) / weight, k, values)
-    return Fit(fitted, values)
+        fitted = _with_fading(fitted, b / weight, (a - wanted) / weight, k, values)
+    return Fit(fitted, values, notes)
 
 
 def _mean_background(model: Model) -> float:
@@ -163,10 +171,19 @@ def fit_gain(traces_adu: NDArray[np.floating], model: Model) -> tuple[Model, flo
     return model.with_values({"camera.em_gain": gain}), gain / float(camera.em_gain or 1.0)
 
 
-def _slow_variance(traces: NDArray[np.floating]) -> float:
-    """Covariance of successive frames about the mean course: variance that is not noise of single frames."""
+def _slow_variances(traces: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(molecule,) product of successive frames about the mean course of all: their mean is the variance that is not
+    noise of single frames."""
     about = traces - traces.mean(axis=0)
-    return float(autocovariance(about, np.ones(about.shape, dtype=bool), [1])[0])
+    products, pairs = lagged(about, np.ones(about.shape, dtype=bool), 1)
+    return np.asarray(products / np.maximum(pairs, 1))
+
+
+def _beyond_chance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """How much larger the mean of one is than that of the other; 0 where that is within `CHANCE_SD` standard errors."""
+    more = float(one.mean() - other.mean())
+    error = np.sqrt(one.var() / len(one) + other.var() / len(other))
+    return more if abs(more) > CHANCE_SD * error else 0.0
 
 
 def _nearest_scale(measured: Any, made: NDArray[np.floating]) -> float:
@@ -198,8 +215,9 @@ def _moments(traces: Any) -> _Moments:
     return _Moments(len(on), float(on.mean()), float(on.std() / on.mean()))
 
 
-def _bleaching_rate(measured: Any, model: Model) -> float:
-    """The rate, 1/s, at which as many of the molecules seen have bleached by the end of the movie as were found to.
+def _bleaching_rate(measured: Any, model: Model) -> tuple[float | None, tuple[str, ...]]:
+    """The rate, 1/s, at which as many of the molecules seen have bleached by the end of the movie as were found to, and
+    what the measurement does not tell of it. None, where no molecule tells anything, keeps what is believed.
 
     A molecule seen in a window before it bleached could not have bleached earlier: the movie is shorter by the window.
     One that is dark from the first frame on, as a table of traces may hold, was never seen and says nothing.
@@ -215,9 +233,13 @@ def _bleaching_rate(measured: Any, model: Model) -> float:
         bleached = dyn.bleaching_frame[seen] >= 0
     n, n_frames = len(bleached), whole.shape[1] - window
     if n == 0 or n_frames < 1:
-        return 0.0
+        return None, ("no molecule tells how fast they bleach",)
     share = min(float(bleached.mean()), 1 - 0.5 / n)
-    return float(-np.log1p(-share) / (n_frames * interval_s))
+    rate, events = float(-np.log1p(-share) / (n_frames * interval_s)), int(bleached.sum())
+    if events >= FEW_EVENTS:
+        return rate, ()
+    most = most_per_s(events, (n - events / 2) * n_frames * interval_s)
+    return rate, (f"{events} of {n} molecules bleach: their rate is hardly known, it may be up to {most:.3g} 1/s",)
 
 
 def _with_background(model: Model, background_e: float, values: dict[str, float]) -> Model:

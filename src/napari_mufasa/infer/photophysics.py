@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 LEAST_MOLECULES = 5
 EVIDENCE = 6.9  # log likelihood that a dark state must add: chance 1 in 1000 with its two rates where there is none
-FEW_EVENTS = 3.0  # events below which only a limit is told
 FAST = 1.0  # switches per frame from which on they show as a dimmer, noisier level
 SURE_SD = 1.0  # above the threshold of detection, from where on most molecules are found
 UNCERTAIN = 1.5  # sd of a logarithm from which on a number is not known
@@ -210,10 +209,8 @@ def _values(
             continue
         log, sd = best.log(name)
         events = float(np.exp(log)) * bright_s
-        if events < FEW_EVENTS:
-            from scipy import stats
-
-            most = stats.chi2.ppf(0.975, 2 * events + 2) / 2 / bright_s
+        if events < rates.FEW_EVENTS:
+            most = rates.most_per_s(events, bright_s)
             unknown[told] = f"about {events:.1f} events were seen in {bright_s:.3g} s of light: below {most:.3g} 1/s"
             continue
         if sd > UNCERTAIN:

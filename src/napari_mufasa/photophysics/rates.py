@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import constants
 
+FEW_EVENTS = 3.0  # events below which only a limit is told
+
 
 def excitation_rate(extinction_per_M_cm: float, power_w_per_cm2: float, wavelength_nm: float) -> float:
     """k01 = ε P λ 10⁻⁶ ln10 / (N_A h c): absorption cross-section times photon flux."""
@@ -25,3 +27,10 @@ def intersystem_crossing_rate(isc_ratio: float, lifetime_s: float) -> float:
 def bleaching_rate(cycles: float, lifetime_s: float) -> float:
     """k1B = 1/(N_c τ): one bleaching in N_c cycles on average."""
     return 1.0 / (cycles * lifetime_s)
+
+
+def most_per_s(events: float, watched_s: float) -> float:
+    """The largest rate, 1/s, at which no more than so many events in `watched_s` are seen once in 40 times."""
+    from scipy import stats
+
+    return float(stats.chi2.ppf(0.975, 2 * events + 2) / 2 / watched_s)
