@@ -34,7 +34,8 @@ CHOICES = """Free choices, where the note is silent or contradicts itself:
   * SOFI: I_on = the largest photon number of a MUFASA trace (mean over 1000 traces); on and off times: 20 and 40 ms,
     bleaching 80 s, which SOFI Simulation Tools starts with ("tool"), or those of the FF chain, which is never off
     ("chain")
-  * "20 x 50": windows of 50 frames before bleaching in which the trace is active; the 20 of highest SNR
+  * "20 x 50": windows of 50 frames before bleaching in which the trace is active; the 20 of highest SNR, and
+    of the simulated ones the same share
   * "fitted": gain, background with a fading part, brightness and bleaching from moments of the same traces
 The note says no extra parameter was tuned, that time scales are aligned, and that I_on comes from a trace. The reading
 nearest to its words and to its three numbers is the first."""
@@ -49,7 +50,6 @@ READINGS: dict[str, dict[str, Any]] = {
         "values": {"optics.background_photons_per_px": 20.0},
         "share": None,
         "sofi": "tool",
-        "whole": True,
     },
 }
 CUTS: dict[str, dict[str, int]] = {"all 265 x 90": {}, "20 x 50": {"window": 50, "best": 20}}
@@ -71,8 +71,6 @@ def egfp(data: Path, n_simulated: int) -> tuple[list[dict[str, Any]], list[Check
     rows = []
     for reading, choice in READINGS.items():
         for selection, cut in CUTS.items():
-            if cut and choice.get("whole"):
-                continue  # with so much background no trace counts as active
             found = compare_traces(
                 traces, model.with_values(choice["values"]), unit=unit, profile="brightest_pixel",
                 background_subtracted=False, pixel_share=choice["share"], sofi_times=choice["sofi"],

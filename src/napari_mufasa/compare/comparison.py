@@ -208,7 +208,7 @@ def compare_traces(
         yes, but for ADU, which are taken as recorded. Where it is in them, light is told above what traces fall to
         when molecules go dark, or, where too few do, above the model's background
     window, best : cut measured and simulated traces alike to the `window` frames before bleaching in which
-        they are active; of the measured ones keep the `best`, which a model's molecules are not where they differ
+        they are active; keep the `best` of the measured ones by SNR, and of simulated ones the same share
     n_simulated : simulated molecules (None: as many as measured, at least 200)
     sofi_times, progress, cancel : as for `compare_movie`
 
@@ -233,16 +233,19 @@ def compare_traces(
     field = FarApart(model.sigma_px, n, options, seed, pixel_share)
     weight = 1.0 if field.one_pixel else background_weight(model.sigma_px, options)
     notes: tuple[str, ...] = ()
+    share = 1.0
 
     def measured_like(values: NDArray[np.floating], believed: Model = model, gain: float = 1.0) -> Sample:
         """Each by its own background, found in the same way."""
-        nonlocal notes
+        nonlocal notes, share
         pedestal_e, note = 0.0, ""
         if not background_subtracted:
             pedestal_e, note = background_held(values, gain * weight * background_level_e(believed))
-        if values is electrons and note:
-            notes = (note,)
-        return _cut(values, pedestal_e, window, best if values is electrons else None)
+        found = _cut(values, pedestal_e, window)
+        if values is electrons:
+            notes = (note,) if note else ()
+            share = min(1.0, (best or np.inf) / max(len(found.traces), 1))
+        return found if share == 1 else _best(found, pedestal_e, round(share * len(found.traces)))
 
     def simulate(candidate: Model) -> NDArray[np.float32]:
         return field.traces(field.acquisition(candidate, seed), cancel)
@@ -324,19 +327,18 @@ def _sample(traces: NDArray[np.floating], pedestal_e: float) -> Sample:
     return Sample(traces, dynamics(traces - pedestal_e))
 
 
-def _cut(values: NDArray[np.floating], pedestal_e: float, window: int | None, best: int | None) -> Sample:
+def _cut(values: NDArray[np.floating], pedestal_e: float, window: int | None) -> Sample:
     dyn = dynamics(values - pedestal_e)
-    if window is None and best is None:
+    if window is None:
         return Sample(values, dyn)
-    if window is not None:
-        start = windows(dyn, window)
-        rows = np.flatnonzero(start >= 0)
-        values = np.array([values[i, start[i] : start[i] + window] for i in rows]).reshape(-1, window)
-        dyn = dynamics(values - pedestal_e)
-    if best is not None:  # by what the window shows, not by what came before it
-        values = values[np.argsort(-dyn.snr, kind="stable")[:best]]
-        dyn = dynamics(values - pedestal_e)
-    return Sample(values, dyn)
+    start = windows(dyn, window)
+    rows = np.flatnonzero(start >= 0)
+    return _sample(np.array([values[i, start[i] : start[i] + window] for i in rows]).reshape(-1, window), pedestal_e)
+
+
+def _best(sample: Sample, pedestal_e: float, n: int) -> Sample:
+    """The `n` of highest SNR, by what the window shows, not by what came before it."""
+    return _sample(sample.traces[np.argsort(-sample.dynamics.snr, kind="stable")[:n]], pedestal_e)
 
 
 def _compare(
