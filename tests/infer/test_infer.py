@@ -69,6 +69,34 @@ def test_counts_without_their_background_have_no_baseline():
         assert two.value == pytest.approx(one.value, rel=1e-3)
 
 
+def test_a_background_in_the_traces_is_no_light_of_molecules(tmp_path):
+    """One pixel of each, as a TIFF of counts holds it: with 10 photoelectrons of background the level was twice the
+    right one, and no bleaching was told. 4 sd: by chance once in 16 000."""
+    import tifffile
+    from typer.testing import CliRunner
+
+    from napari_mufasa.cli.app import app
+
+    model = nm.preset("FF").with_values(CASES["FF"])
+    camera, share = model.camera, held_share("brightest_pixel", model.sigma_px)
+    background = np.random.default_rng(1).poisson(10.0, (120, model.acquisition.n_frames))
+    electrons = share * recorded(model, 120, seed=77) + background
+    counts = electrons * camera.em_gain / camera.electrons_per_adu + camera.baseline_adu
+    tifffile.imwrite(tmp_path / "t.tif", np.clip(counts, 0, 65535).astype(np.uint16).T)
+    model.to_json(tmp_path / "model.json")
+    paths = [str(tmp_path / name) for name in ("t.tif", "model.json", "out.json", "report.json")]
+    given = ["infer", paths[0], "--model", paths[1], "--out", paths[2], "--report", paths[3]]
+    told = CliRunner().invoke(app, given, catch_exceptions=False)
+    assert told.exit_code == 0 and "were taken off as background" in told.output
+    values = json.loads((tmp_path / "report.json").read_text())["values"]
+    for key, least in (("level_e", 0.03), ("cycles_before_bleaching", 0.0)):  # the background is known to 0.1 of 5
+        truth, value = truths(model)[key], values[key]
+        assert abs(value["value"] - truth) < max(4 * value["sd"], least * truth), key
+    bright = recorded(model.with_values({"fluorophore.cycles_before_bleaching": None}), 40, seed=2) + 10.0
+    with pytest.raises(MufasaError, match="too few molecules go dark"):
+        nm.infer_photophysics(bright, model, background_subtracted=False)
+
+
 @pytest.mark.parametrize("name", ["FF", "Blinking", "PALM"])
 def test_rates_come_back(name):
     model = nm.preset(name).with_values(CASES[name])

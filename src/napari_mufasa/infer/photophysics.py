@@ -68,13 +68,13 @@ def infer_photophysics(
 
     Parameters
     ----------
-    traces : (molecule, frame) light above the background in `unit`, whole movies in which the light stays on; or what
-        `extract_traces` gave, of which the kept molecules are used
+    traces : (molecule, frame) light in `unit`, whole movies in which the light stays on; or what `extract_traces` gave,
+        of which the kept molecules are used
     model : timing, dye, light, collection and camera believed; only photons per frame and rates show in traces
     unit : "photoelectrons", "photons" or "adu"
     pixel_share : share of a molecule's light that a trace holds; None: all, or as extracted
-    background_subtracted : of traces in ADU, whether the baseline was taken off with the background; None: as
-        recorded, with it
+    background_subtracted : whether the background was taken off (in ADU: the baseline, too); None: yes, but for ADU,
+        which are taken as recorded. What is in them is read off where molecules go dark, and taken off
     all_molecules : whether all molecules are among the traces, also those that never shone (their places were known);
         else those that shone in fewer frames than it takes to be found (3, or as extracted) are left out, and the
         likelihood is that of molecules that shine as long
@@ -82,7 +82,8 @@ def infer_photophysics(
 
     Raises
     ------
-    MufasaError : fewer than 5 traces, too few frames, traces without light or without noise.
+    MufasaError : fewer than 5 traces, too few frames, traces without light or without noise, or with a background that
+        no dark molecule tells.
     """
     from napari_mufasa.compare.comparison import is_without_background, to_photoelectrons
     from napari_mufasa.traces.dynamics import LIT, dynamics
@@ -100,7 +101,11 @@ def infer_photophysics(
         notes += _chosen(traces.options)
         traces = traces.all_traces[traces.kept]
     without = is_without_background(unit, background_subtracted)
-    electrons = to_photoelectrons(traces, model, unit, background_subtracted=without) / (pixel_share or 1.0)
+    electrons = to_photoelectrons(traces, model, unit, background_subtracted=without)
+    if not without:
+        electrons, note = _above_background(electrons)
+        notes.append(note)
+    electrons = electrons / (pixel_share or 1.0)
     if len(electrons) < LEAST_MOLECULES:
         raise MufasaError(f"{len(electrons)} traces are too few to infer rates from: give {LEAST_MOLECULES} or more")
     if electrons.shape[1] < 10:
@@ -152,6 +157,21 @@ def infer_photophysics(
         unknown["isc_ratio"] = "the traces show no dark state between bright frames" + _limit(best, problem)
     notes += _cannot_be_told(model, best)
     return Photophysics(_model(model, values, blinks, notes), values, unknown, tuple(notes), len(electrons))
+
+
+def _above_background(electrons: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    """Traces (molecule, frame) without the background that they fall to when their molecules are dark, and a note."""
+    from napari_mufasa.traces.dynamics import dark_level
+
+    if (dark := dark_level(electrons)) is None:
+        raise MufasaError(
+            "the traces hold their background, and too few molecules go dark to tell how much of them it is: give "
+            "traces whose background was taken off (background_subtracted=True), or longer ones"
+        )
+    return (
+        electrons - dark,
+        f"{dark:.4g} photoelectrons per frame, to which the traces fall, were taken off as background",
+    )
 
 
 def _least_frames(found: TraceSet) -> float:
