@@ -28,6 +28,7 @@ from napari_mufasa.effects import effect_class
 from napari_mufasa.files.traces import read_traces
 from napari_mufasa.files.whole import write_json
 from napari_mufasa.traces.dynamics import dark_level, dynamics
+from napari_mufasa.traces.extract import held_share
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"
 
@@ -129,6 +130,53 @@ def test_traces_alone_in_every_unit():
     assert one.w1["mufasa"] < 2 * one.w1["floor"]
     bright = model.with_values({"optics.brightness_correction": 2.0})
     assert compare_traces(electrons, bright, **settings).w1["mufasa"] > 5 * one.w1["floor"]
+
+
+def test_a_file_of_traces_says_itself_what_it_holds(tmp_path):
+    """Counts without background of smFRET software, counts as recorded of a TIFF: each read as what it is, by all."""
+    import struct
+
+    import tifffile
+
+    from napari_mufasa.discover.trace_bench import TraceBench
+    from napari_mufasa.files.traces import read_trace_file
+
+    model = nm.preset("FF").with_values(
+        {"camera.type": "CCD", "camera.em_gain": None, "camera.electrons_per_adu": 2.0, "camera.read_noise_e": 5.0,
+         "acquisition.n_frames": 80, "excitation.power_density_w_per_cm2": 10.0}
+    )  # fmt: skip
+    rng, shape = np.random.default_rng(3), (60, 80)
+    electrons = rng.poisson(0.9 * nm.simulate_emission(model, 60, seed=3)) + rng.normal(0, 5, shape)
+    rows = np.repeat(electrons / 2, 2, axis=0).round().astype("<i2")
+    (tmp_path / "a.traces").write_bytes(struct.pack("<ih", 80, 120) + rows.T.tobytes())
+    pixel = electrons / 2 + model.camera.baseline_adu + 9 - 0.5  # 18 photoelectrons of background; the floor to counts
+    tifffile.imwrite(tmp_path / "a.tif", pixel.T.round().astype(np.uint16))
+    plain, raw = read_trace_file(tmp_path / "a.traces"), read_trace_file(tmp_path / "a.tif")
+    for found, held in ((plain, 0.0), (raw, 18.0)):
+        compared = compare_traces(found, model, fit=False, n_bootstrap=2).samples["measured"]
+        assert compared.traces.mean() == pytest.approx(electrons.mean() + held, abs=0.6)
+        diagnosed = TraceBench(found, model)
+        assert diagnosed.background_subtracted == (held == 0)
+        inferred = nm.infer_photophysics(found, model)
+        share = 1.0 if held == 0 else held_share("brightest_pixel", model.sigma_px)
+        level = inferred.values["level_e"].value * share
+        assert level == pytest.approx(0.9 * nm.predict(model).emitted_photons_per_frame, rel=0.05)
+        for call in (compare_traces, nm.infer_photophysics, nm.diagnose_traces):
+            with pytest.raises(nm.MufasaError, match="are in adu, not in photons"):
+                call(found, model, unit="photons")
+
+
+def test_extracted_traces_are_not_taken_for_counts():
+    model = nm.Model.from_dict(generator.base_model("cmos")).in_shape(n_frames=30, shape_px=(48, 48))
+    places = np.array([[12.0, 12.0], [12.0, 34.0], [34.0, 12.0], [34.0, 34.0], [23.0, 23.0]])
+    movie = nm.simulate(model, places, seed=1).movie
+    kept = nm.extract_traces(movie, model.camera, psf_sigma_px=model.sigma_px, subtract_background=False)
+    found = compare_traces(kept, model, fit=False, n_bootstrap=2)
+    np.testing.assert_array_equal(found.samples["measured"].traces, kept.traces)
+    assert found.w1["mufasa"] < found.samples["measured"].dynamics.on_level.mean()  # its background is simulated, too
+    for call in (compare_traces, nm.infer_photophysics):
+        with pytest.raises(nm.MufasaError, match="are in photoelectrons, not in adu"):
+            call(kept, model, unit="adu")
 
 
 def test_one_pixel_traces_equal_those_of_a_movie():

@@ -95,6 +95,16 @@ def test_a_unit_that_nobody_knows_is_not_guessed(tmp_path):
     assert read_trace_file(tmp_path / "a.h5", unit="adu").unit == "adu"
 
 
+@pytest.mark.parametrize("suffix", ["csv", "tif", "h5", "json"])
+def test_another_unit_than_the_file_says_is_refused(tmp_path, suffix):
+    if suffix == "h5":
+        pytest.importorskip("h5py")
+    write_trace_file(tmp_path / f"a.{suffix}", np.ones((2, 5)), "photons")
+    assert read_trace_file(tmp_path / f"a.{suffix}", unit="photons").unit == "photons"
+    with pytest.raises(MufasaError, match="is in photons, not in adu: drop --unit"):
+        read_trace_file(tmp_path / f"a.{suffix}", unit="adu")
+
+
 def test_what_a_tiff_holds_hangs_on_the_unit_that_was_given(tmp_path):
     """Counts as decimals are counts all the same: as recorded, one pixel with its background."""
     import tifffile

@@ -285,16 +285,15 @@ def _check_what_is_compared(
 def trace_table(
     path: Path, unit: UnitName | None, profile: ProfileName | None, with_background: bool | None
 ) -> dict[str, Any]:
-    """The traces of a file and what they hold, as keywords; a TIFF in ADU holds brightest pixels with background."""
+    """The traces of a file and what they hold, as keywords: what was said, else as the file is usually made."""
     from napari_mufasa.files import traces as trace_files
 
     found = trace_files.read_trace_file(path, unit=unit)
-    raw = found.unit == "adu" and path.suffix.lower() in (".tif", ".tiff")
     return {
         "traces": found.traces,
         "unit": found.unit,
-        "profile": profile or ("brightest_pixel" if raw else "psf"),
-        "background_subtracted": not (raw if with_background is None else with_background),
+        "profile": profile or found.profile,
+        "background_subtracted": found.background_subtracted if with_background is None else not with_background,
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from napari_mufasa.compare.fit import (
 from napari_mufasa.compare.simulated import FarApart, SofiTimes, acquisitions, background_weight, extract_simulated
 from napari_mufasa.compare.wasserstein import Floor, bootstrap_interval, floor, wasserstein
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.files.traces import UNITS
+from napari_mufasa.files.traces import UNITS, TraceFile
 from napari_mufasa.model.model import Model
 from napari_mufasa.simulate import layout
 from napari_mufasa.simulate.movie import SimulatedAcquisition
@@ -177,11 +177,11 @@ def compare_movie(
 
 
 def compare_traces(
-    traces: NDArray[Any],
+    traces: NDArray[Any] | TraceFile | TraceSet,
     model: Model,
     *,
-    unit: str = "photoelectrons",
-    profile: str = "psf",
+    unit: str | None = None,
+    profile: str | None = None,
     background_subtracted: bool | None = None,
     pixel_share: float | None = None,
     window: int | None = None,
@@ -201,8 +201,9 @@ def compare_traces(
 
     Parameters
     ----------
-    traces : (molecule, frame) in `unit`: "photoelectrons", "photons" or "adu"
-    profile : what the traces hold: "brightest_pixel", "sum" or "psf"
+    traces : (molecule, frame), or what `read_trace_file` or `extract_traces` gave, which say themselves what they hold
+    unit : "photoelectrons" (None, of an array), "photons" or "adu"
+    profile : what the traces hold: "brightest_pixel", "sum" or "psf" (None, of an array)
     pixel_share : share of a molecule's light in its brightest pixel, if it is not the PSF's
     background_subtracted : whether the local background was taken off the traces (in ADU: the baseline, too); None:
         yes, but for ADU, which are taken as recorded. Where it is in them, light is told above what traces fall to
@@ -220,9 +221,8 @@ def compare_traces(
     for name, value, least in (("window", window, 1), ("best", best, 1), ("n_simulated", n_simulated, 2)):
         if value is not None:
             checks.whole(value, name, least)
-    checks.choice(profile, "profile", get_args(Profile))
-    background_subtracted = is_without_background(unit, background_subtracted)
-    electrons = to_photoelectrons(traces, model, unit, background_subtracted=background_subtracted)
+    table, unit, profile, background_subtracted = described(traces, unit, profile, background_subtracted)
+    electrons = to_photoelectrons(table, model, unit, background_subtracted=background_subtracted)
     if window is not None and window > electrons.shape[1]:
         raise MufasaError(f"window = {window} frames; the traces have {electrons.shape[1]}: give 1 … that")
     n_frames = electrons.shape[1]
@@ -262,7 +262,7 @@ def compare_traces(
         gain = 1.0
         start = model
         if unit == "adu" and not background_subtracted:  # else what scatters is not what is left
-            start, gain = fit_gain(np.asarray(traces), model)
+            start, gain = fit_gain(np.asarray(table), model)
         if background_subtracted:
             fitted = fit_model(electrons / gain, start, simulate)
         else:
@@ -276,6 +276,34 @@ def compare_traces(
         steps.done()
     notes += tuple(f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0)
     return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
+
+
+class Described(NamedTuple):
+    """A table of traces (molecule, frame) and what it holds."""
+
+    traces: Any
+    unit: str
+    profile: str
+    background_subtracted: bool
+
+
+def described(
+    traces: Any, unit: str | None = None, profile: str | None = None, background_subtracted: bool | None = None
+) -> Described:
+    """Traces and what they hold: as given, else as the file or extraction that they come from says, else photoelectrons
+    of whole spots. Raises `MufasaError` for another unit than those say."""
+    said: tuple[str | None, str | None, bool | None] = (None, None, None)
+    if isinstance(traces, TraceFile):
+        said, traces = (traces.unit, traces.profile, traces.background_subtracted), traces.traces
+    elif isinstance(traces, TraceSet):
+        options = traces.options
+        said, traces = (traces.units, options.profile, options.subtract_background), traces.traces
+    if said[0] is not None and unit not in (None, said[0]):
+        raise MufasaError(f"the traces are in {said[0]}, not in {unit}: drop unit, they say it themselves")
+    unit = checks.choice(unit or said[0] or "photoelectrons", "unit", UNITS)
+    profile = checks.choice(profile or said[1] or "psf", "profile", get_args(Profile))
+    stated = said[2] if background_subtracted is None else background_subtracted
+    return Described(traces, unit, profile, is_without_background(unit, stated))
 
 
 def is_without_background(unit: str, stated: bool | None) -> bool:

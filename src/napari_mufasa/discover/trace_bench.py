@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.compare.comparison import is_without_background, to_photoelectrons
+from napari_mufasa.compare.comparison import described, to_photoelectrons
 from napari_mufasa.compare.fit import background_level_e, fit_gain
 from napari_mufasa.compare.simulated import FarApart
 from napari_mufasa.compare.wasserstein import floor, wasserstein
@@ -89,8 +89,8 @@ class TraceBench(Bench[TraceNumbers]):
         self,
         traces: Any,
         model: Model,
-        unit: str = "photoelectrons",
-        profile: str = "psf",
+        unit: str | None = None,
+        profile: str | None = None,
         background_subtracted: bool | None = None,
         pixel_share: float | None = None,
         *,
@@ -99,7 +99,7 @@ class TraceBench(Bench[TraceNumbers]):
         cancel: Callable[[], bool] | None = None,
         client: Client | None = None,
     ) -> None:
-        background_subtracted = is_without_background(unit, background_subtracted)
+        traces, unit, profile, background_subtracted = described(traces, unit, profile, background_subtracted)
         electrons = to_photoelectrons(traces, model, unit, background_subtracted=background_subtracted)
         if len(electrons) < LEAST_MOLECULES or electrons.shape[1] < LEAST_FRAMES:
             raise MufasaError(

@@ -29,7 +29,7 @@ UNITS: tuple[Unit, ...] = ("photoelectrons", "photons", "adu")
 
 @dataclass(frozen=True)
 class TraceFile:
-    """Traces read from a file.
+    """Traces read from a file; what `compare_traces`, `diagnose_traces` and `infer_photophysics` take as it is.
 
     traces : (molecule, frame) float64; unit : one of `UNITS`; molecules : (molecule,) ids as in the file
     positions_px : (molecule, 2) (y, x) where the file or a companion gives them, else None
@@ -40,6 +40,16 @@ class TraceFile:
     molecules: NDArray[np.int64]
     path: Path
     positions_px: NDArray[np.float64] | None = None
+
+    @property
+    def background_subtracted(self) -> bool:
+        """Whether the background was taken off: it is in counts of a TIFF, as recorded, only."""
+        return not (self.unit == "adu" and self.path.suffix.lower() in (".tif", ".tiff"))
+
+    @property
+    def profile(self) -> Literal["psf", "brightest_pixel"]:
+        """What each trace holds: the whole spot, or, as recorded, one pixel."""
+        return "psf" if self.background_subtracted else "brightest_pixel"
 
 
 def read_traces(path: PathLike) -> tuple[NDArray[np.float64], Unit]:
@@ -59,8 +69,8 @@ def read_trace_file(path: PathLike, *, unit: Unit | None = None, channel: Channe
 
     * ``.json``: OpenFRET; `channel` chooses where there are several; counts where it says no unit
 
-    `unit` overrides what the file says; of a CSV with several columns of values it chooses. Raises `MufasaError` in
-    one clear line.
+    `unit` says it where the file does not; of a CSV with several columns of values it chooses. Raises `MufasaError` in
+    one clear line, also where the file says another unit.
     """
     path = Path(path)
     if not path.is_file():
@@ -148,6 +158,7 @@ def _read_csv(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
 
     table = pd.read_csv(path)
     unit = wanted if wanted in table.columns else next((u for u in UNITS if u in table.columns), None)
+    _no_other(path, unit, wanted)
     if unit is None or not {"molecule", "frame"} <= set(table.columns):
         raise MufasaError(
             f"{path} has columns {', '.join(map(str, table.columns))}: needs molecule, frame and one of "
@@ -242,14 +253,20 @@ def _read_openfret(path: Path, channel: Channel, wanted: Unit | None) -> TraceFi
 
 
 def _unit(path: Path, said: Any, guess: Unit, wanted: Unit | None) -> Unit:
-    """The unit that is `wanted`, or else what the file says, or a guess where it says none."""
+    """The unit that the file says, or else the one `wanted`, or a guess where nobody says one."""
     text = (said.decode() if isinstance(said, bytes) else str(said or "")).strip()
+    known = next((unit for unit in UNITS if unit == text.lower()), None)
+    _no_other(path, known, wanted)
     if wanted is not None or not text:
         return wanted or guess
-    known = next((unit for unit in UNITS if unit == text.lower()), None)
     if known is None:
         raise MufasaError(f"{path} is in {text!r}: give --unit (unit=), one of {', '.join(UNITS)}")
     return known
+
+
+def _no_other(path: Path, said: Unit | None, wanted: Unit | None) -> None:
+    if said is not None and wanted not in (None, said):
+        raise MufasaError(f"{path} is in {said}, not in {wanted}: drop --unit (unit=), or correct the file")
 
 
 def _h5py() -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics import rates
 
 if TYPE_CHECKING:
+    from napari_mufasa.files.traces import TraceFile
     from napari_mufasa.traces.dynamics import Dynamics
     from napari_mufasa.traces.extract import TraceSet
     from napari_mufasa.traces.options import Options
@@ -53,10 +54,10 @@ class Photophysics(Known):
 
 
 def infer_photophysics(
-    traces: NDArray[Any] | TraceSet,
+    traces: NDArray[Any] | TraceFile | TraceSet,
     model: Model,
     *,
-    unit: str = "photoelectrons",
+    unit: str | None = None,
     pixel_share: float | None = None,
     background_subtracted: bool | None = None,
     all_molecules: bool = False,
@@ -68,11 +69,11 @@ def infer_photophysics(
 
     Parameters
     ----------
-    traces : (molecule, frame) light in `unit`, whole movies in which the light stays on; or what `extract_traces` gave,
-        of which the kept molecules are used
+    traces : (molecule, frame) light in `unit`, whole movies in which the light stays on; or what `read_trace_file` or
+        `extract_traces` gave (of which the kept molecules are used), which say themselves what they hold
     model : timing, dye, light, collection and camera believed; only photons per frame and rates show in traces
-    unit : "photoelectrons", "photons" or "adu"
-    pixel_share : share of a molecule's light that a trace holds; None: all, or as extracted
+    unit : "photoelectrons" (None, of an array), "photons" or "adu"
+    pixel_share : share of a molecule's light that a trace holds; None: all, or as extracted or read
     background_subtracted : whether the background was taken off (in ADU: the baseline, too); None: yes, but for ADU,
         which are taken as recorded. What is in them is read off where molecules go dark, and taken off
     all_molecules : whether all molecules are among the traces, also those that never shone (their places were known);
@@ -85,23 +86,26 @@ def infer_photophysics(
     MufasaError : fewer than 5 traces, too few frames, traces without light or without noise, or with a background that
         no dark molecule tells.
     """
-    from napari_mufasa.compare.comparison import is_without_background, to_photoelectrons
+    from napari_mufasa.compare.comparison import described, to_photoelectrons
+    from napari_mufasa.files.traces import TraceFile
     from napari_mufasa.traces.dynamics import LIT, dynamics
-    from napari_mufasa.traces.extract import TraceSet
+    from napari_mufasa.traces.extract import TraceSet, held_share
     from napari_mufasa.traces.select import Choice
 
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     notes: list[str] = []
     least_frames: float = Choice.min_lit_frames
+    table, unit, profile, without = described(traces, unit, None, background_subtracted)
+    if isinstance(traces, TraceFile):
+        pixel_share = held_share(cast(Any, profile), model.sigma_px) if pixel_share is None else pixel_share
     if isinstance(traces, TraceSet):
         if not traces.options.subtract_background:
             raise MufasaError("rates are inferred from light alone: extract the traces with their background taken off")
         pixel_share = traces.pixel_share if pixel_share is None else pixel_share
         least_frames = _least_frames(traces)
         notes += _chosen(traces.options)
-        traces = traces.all_traces[traces.kept]
-    without = is_without_background(unit, background_subtracted)
-    electrons = to_photoelectrons(traces, model, unit, background_subtracted=without)
+        table = traces.all_traces[traces.kept]
+    electrons = to_photoelectrons(table, model, unit, background_subtracted=without)
     if not without:
         electrons, note = _above_background(electrons)
         notes.append(note)
