@@ -15,11 +15,12 @@ from napari_mufasa.channels.efficiency import Corrections, frame_by_frame, of_mo
 from napari_mufasa.channels.registration import Channels
 from napari_mufasa.channels.together import Together
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.traces.candidates import edge_px
+from napari_mufasa.traces.candidates import least_edge_px
 from napari_mufasa.traces.dynamics import dynamics
 from napari_mufasa.traces.extract import TraceSet, extract_traces, kept_traces
 from napari_mufasa.traces.measure import Measured, measure
 from napari_mufasa.traces.options import Options, chosen_options
+from napari_mufasa.traces.select import judge, windows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -161,11 +162,12 @@ def extract_pair(
     table = found.molecules.assign(
         brightness=seen.on_level, snr=seen.snr, bleaching_frame=seen.bleaching_frame, n_steps=seen.n_steps,
         n_blinks=seen.n_blinks, lit_frames=seen.lit.sum(axis=1), y_acceptor_px=there[:, 0], x_acceptor_px=there[:, 1],
-        **told,
+        window_start=-1 if chosen.window is None else windows(seen, chosen.window), **told,
     )  # fmt: skip
-    border = chosen.rules(width).border_px
-    outside = table["kept"].to_numpy(bool) & (edge_px(there, acceptor.shape[1:]) < border)
-    table.loc[outside, ["kept", "reason"]] = [False, "outside the acceptor's channel"]
+    # Judged anew by the light of both channels: it was that of the donor, or of a sum between pixels.
+    lost = least_edge_px(there, motion, acceptor.shape[1:]) < chosen.rules(width).border_px
+    edge = least_edge_px(found.positions_px, found.drift_px, donor.shape[1:])
+    judge(table, chosen.rules(found.sigma_px), donor.shape, found.sigma_px, edge, lost)
     places = table.assign(y_px=table["y_acceptor_px"], x_px=table["x_acceptor_px"])
     base = replace(found, lit=seen.lit, notes=(*channels.notes, *found.notes))
     return PairedTraces(

@@ -71,11 +71,12 @@ def usual_width(sigma_major_px: NDArray[np.float64], sigma_px: float) -> float:
 
 
 def judge(
-    table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_px: float, edge_px: NDArray[np.float64]
+    table: pd.DataFrame, rules: Rules, shape: tuple[int, int, int], sigma_px: float, edge_px: NDArray[np.float64],
+    lost: NDArray[np.bool_] | None = None,
 ) -> None:  # fmt: skip
     """Fill `kept` and `reason` of the molecule table; the first rule broken is the reason.
 
-    edge_px : (candidate,) how near each comes to the edge of the field
+    edge_px : (candidate,) how near each comes to the edge of the field; lost : which leave the acceptor's channel
     """
     reason = np.full(len(table), "", dtype=object)
 
@@ -89,6 +90,8 @@ def judge(
 
     reject(~table["in_roi"].to_numpy(dtype=bool), "outside the region of interest")
     reject(edge_px < rules.border_px, "border")
+    if lost is not None:
+        reject(lost, "outside the acceptor's channel")
     reject(column("prominence") < LEAST_PROMINENCE, "edge or line, no spot")
     near = column("neighbour_px")
     reject(near < rules.isolation_px, [f"neighbour at {d:.1f} px" for d in near])
