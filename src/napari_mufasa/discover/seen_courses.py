@@ -19,7 +19,7 @@ TELLS_WALK = 20  # frames over which white noise passes for a walk in 2 of 100 d
 FINER, NEARBY, FEWEST_CYCLES = 8, 20, 4  # of a spectrum: grid over that of the movie's length, width of what is nearby
 HARMONICS = 15  # of a swing of any shape, at most
 PEAK = 40.0  # sum of two spectra over what is usual: of 4000 flickers or drifts at most 4 reach it
-DRIFT = 4  # cosines that a drift may fill
+DRIFT = 3  # first cosines that a drift may fill
 IN_WHITE = np.logspace(-4, 4, 60)  # shares of coloured noise in white noise that are tried, …
 RELAXES = np.logspace(-0.2, 1.1, 10)  # … and frames within which noise forgets itself
 SEEN = 5.0  # variance over that of its noise which shows a course: white noise passes this less than twice in 10⁴
@@ -96,16 +96,33 @@ def flicker_course(observation: Observation) -> dict[str, Any]:
 
 
 def flicker_in(course: Array) -> Array | None:
-    """The 1/f noise in a course, with its spectrum (as `walk_alone`), where it and white noise are the likeliest law by
-    the spectrum (Whittle, Ark. Mat. 2, 423, 1953): likelier than white noise, which chance passes for it in 0.1 %,
-    than a walk, with no doubt, and than noise that relaxes. A drift besides fills the first cosines, which do not tell;
-    what is too large for the flicker is no part of it."""
-    n = len(course)
-    if n < TELLS_WALK:
+    """The 1/f noise in a course, with its spectrum (as `walk_alone`), where it and white noise are the likeliest law of
+    its cosines, of all or of all but the first, which a drift besides may fill. What is too large for the flicker is no
+    part of it."""
+    if len(course) < TELLS_WALK:
         return None
     cosines = fft.dct(course - course.mean(), norm="ortho")
-    turn = np.pi * np.arange(DRIFT, n) / n
-    power = np.square(cosines[DRIFT:])
+    law = _pink_law(cosines, 1) or _pink_law(cosines, 1 + DRIFT)
+    if law is None:
+        return None
+    scale, pink = law[0], law[1] * _pink(len(course), 1)
+    too_large = np.abs(cosines[1:]) > OFF * np.sqrt(scale * (1 + pink))
+    cosines[1:] *= np.where(too_large, 0.0, np.sqrt(pink / (1 + pink)))
+    alone: Array = fft.idct(cosines, norm="ortho")
+    return alone
+
+
+def _pink(n: int, first: int) -> Array:
+    """1/f, f the frequency in cycles per frame, of the cosines of n frames from the `first` on."""
+    return 2 * n / np.arange(first, n)
+
+
+def _pink_law(cosines: Array, first: int) -> tuple[float, float] | None:
+    """Power of white noise, and the share of 1/f noise in it, by the cosines from the `first` on, where by them
+    (Whittle, Ark. Mat. 2, 423, 1953) these two are likelier than white noise alone, which chance passes for them in
+    0.1 %, than a walk in it, with no doubt, and than noise that relaxes."""
+    n = len(cosines)
+    turn, power = np.pi * np.arange(first, n) / n, np.square(cosines[first:])
 
     def likeliest(*shapes: Array) -> tuple[float, int]:
         """The least −2 log likelihood, each shape at its best scale, and whose it is."""
@@ -113,18 +130,14 @@ def flicker_in(course: Array) -> Array | None:
         return min(found), int(np.argmin(found))
 
     relaxing = [1 / (1 - 2 * kept * np.cos(turn) + kept**2) for kept in np.exp(-1 / RELAXES)]
-    pink, best = likeliest(*(1 + share * 2 * np.pi / turn for share in IN_WHITE))
+    pink, best = likeliest(*(1 + share * _pink(n, first) for share in IN_WHITE))
     white, _ = likeliest(np.ones_like(turn))
     walk, _ = likeliest(*(1 + share / (2 - 2 * np.cos(turn)) for share in IN_WHITE))
     relaxed, _ = likeliest(*(1 + share * shape for share in IN_WHITE for shape in relaxing))
     if pink > min(white - OFF**2, walk - NEAR, relaxed + np.log(n)):
         return None
-    pink_in_white = IN_WHITE[best] * 2 * n / np.arange(1, n)
-    scale = np.mean(power / (1 + pink_in_white[DRIFT - 1 :]))
-    too_large = np.abs(cosines[1:]) > OFF * np.sqrt(scale * (1 + pink_in_white))
-    cosines[1:] *= np.where(too_large, 0.0, np.sqrt(pink_in_white / (1 + pink_in_white)))
-    alone: Array = fft.idct(cosines, norm="ortho")
-    return alone
+    share = float(IN_WHITE[best])
+    return float(np.mean(power / (1 + share * _pink(n, first)))), share
 
 
 def light_step(observation: Observation) -> dict[str, float]:
