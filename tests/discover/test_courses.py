@@ -60,8 +60,9 @@ def test_a_walk_is_told_with_its_spectrum_and_neither_noise_nor_a_line_is_a_walk
     assert sum(walk_of(course, 30) is not None for course in lines) <= 20
 
 
-def test_a_movie_of_two_frames_shows_no_walk():
+def test_a_movie_of_two_frames_shows_no_walk_and_still_light_no_flicker():
     assert walk_of(np.array([1.0, 2.0]), 1) is None
+    assert flicker_in(np.array([1.0, 2.0])) is None and flicker_in(np.full(100, 7.0)) is None
 
 
 def test_a_focus_that_walks_is_told_for_each_frame():

@@ -112,6 +112,14 @@ def test_a_drift_found_in_the_first_frames_is_that_of_the_whole_movie():
     np.testing.assert_allclose(scene_of(report.model).light, scene_of(truth).light, atol=0.04)
 
 
+def test_light_flickers_on_beyond_the_part_in_which_its_flicker_was_seen():
+    course = np.random.default_rng(1).standard_normal(90)
+    seen = effect("laser_flicker", rms=0.1, form="pink", course=tuple(course))
+    light = scene_of(plain(n_frames=300).with_effects(seen).referring_to(Extent(frames=(0, 0.3)))).light
+    np.testing.assert_allclose(light[:90], 1 + 0.1 * course, rtol=1e-6)
+    assert 0.03 < light[90:].std() < 0.2  # of 1/f noise, 0.1 over the movie
+
+
 def test_what_is_read_off_a_part_is_told_for_the_whole():
     around = Extent(frames=(0, 2), rows=(-0.5, 1.5), columns=(0, 1))
     seen = {"course": (0.0, 0.5, 1.0), "step_at": 0.5, "seen": (0.0, 1.0, 0.2, 0.8), "seen_columns": 2}

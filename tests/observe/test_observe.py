@@ -258,6 +258,9 @@ def test_the_course_of_a_half_points_where_that_of_the_whole_does():
     np.testing.assert_allclose(half, whole, atol=0.05)
     falling = in_scale_of({"course": tuple(-np.array(whole))}, {"course": (0.0, -0.5, -0.97, 0.0, 1.0)})["course"]
     np.testing.assert_allclose(falling, -np.array(half))
+    flicker = (0.4, -2.0, 1.0, 0.6)  # begins anywhere: has no side
+    other = in_scale_of({"course": flicker}, {"course": (0.4, 2.0, -4.0, 0.6)})["course"]
+    assert np.corrcoef(other, (0.4, 2.0, -4.0, 0.6))[0, 1] ** 2 == pytest.approx(1, abs=1e-6)
 
 
 @pytest.mark.parametrize("axis_deg", [20.0, 135.0])

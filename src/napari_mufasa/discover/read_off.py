@@ -53,15 +53,15 @@ def read_off(kind: str, observation: Observation) -> dict[str, Any]:
 
 def in_scale_of(whole: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
     """What a part of the field shows, its course and relief in the scale of what the whole field shows: where they are
-    0 and ±1 hangs on single values and their noise. (Least squares of the whole's values on the part's.) It is farthest
-    from 0 on the same side, for that is the way that an effect's size points."""
+    0 and ±1 hangs on single values and their noise. (Least squares of the whole's values on the part's.) What begins at 0
+    is farthest from it on the same side, for that is the way that an effect's size points."""
     found = dict(part)
     for name in ("course", "seen"):
         here, there = np.array(part.get(name, ())), np.array(whole.get(name, ()))
         if here.size and there.size and np.ptp(here) > 0:
             slope, offset = np.polyfit(here, _resampled(there, 0, (0.0, 1.0), len(here)), 1)
             values = offset + slope * here
-            if name == "course":
+            if name == "course" and there[0] == 0:  # a drift's
                 side = np.sign(max(there, key=abs))
                 values = side * np.maximum(side * values, -NOT_AS_FAR * max((side * values).max(), 0.0))
             found[name] = tuple(values.round(4).tolist())

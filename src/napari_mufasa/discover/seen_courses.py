@@ -99,7 +99,7 @@ def flicker_in(course: Array) -> Array | None:
     """The 1/f noise in a course, with its spectrum (as `walk_alone`), where it and white noise are the likeliest law of
     its cosines, of all or of all but the first, which a drift besides may fill. What is too large for the flicker is no
     part of it."""
-    if len(course) < TELLS_WALK:
+    if len(course) < TELLS_WALK or not course.var() > 0:
         return None
     cosines = fft.dct(course - course.mean(), norm="ortho")
     law = _pink_law(cosines, 1) or _pink_law(cosines, 1 + DRIFT)

@@ -140,13 +140,14 @@ class LaserFlicker(Effect):
             kept = np.exp(-1 / self.correlation_frames)
             noise[1:] *= np.sqrt(1 - kept**2)
             noise = signal.lfilter([1.0], [1.0, -kept], noise)
-        if self.form == "pink" and self.course:
-            noise = told(self.course, scene.elapsed)
-        elif self.form == "pink":
+        if self.form == "pink":
             spectrum = np.fft.rfft(noise)
             frequency = np.maximum(np.fft.rfftfreq(scene.n_frames), 1.0 / scene.n_frames)
             noise = np.fft.irfft(spectrum / np.sqrt(frequency), scene.n_frames)
             noise = (noise - noise.mean()) / max(noise.std(), 1e-12)
+            if self.course:  # before and after it was seen it flickers as ever
+                seen = (scene.elapsed > 0) & (scene.elapsed < 1)
+                noise = np.where(seen, told(self.course, scene.elapsed), noise)
         scene.light = np.maximum(scene.light * (1 + self.rms * noise), 0.0)
 
 
