@@ -31,6 +31,7 @@ class ToyBench:
     model, as in the simulator."""
 
     seed, is_cheap, matching_simulations, done = 1, False, 0, 0
+    read_last = frozenset()
     names = tuple(f"o{i}" for i in range(P))
     start = nm.preset("FF")
     values = ()
@@ -256,7 +257,15 @@ def asking(stand, taken):
         stand=stand, bench=stand.library.bench, _settling=lambda n: 0, _settle=lambda state, *_: taken.append(state)
     )
     asked._promises = lambda *lead: steps.Steps._promises(asked, *lead)
+    asked._begun_before_courses = lambda case: steps.Steps._begun_before_courses(asked, case)
     return asked
+
+
+def test_what_is_read_off_as_others_leave_it_is_begun_after_them(bench, monkeypatch):
+    monkeypatch.setattr(type(bench), "read_last", frozenset({"row_noise"}))
+    stand, taken = stand_of(bench, bench.start.with_effects(ROWS(rms_adu=3.0), HOT(fraction=5e-3, electrons=10.0))), []
+    steps.Steps.take_up(asking(stand, taken), [[stand.leads["row_noise"]], [stand.leads["hot_pixels"]]])
+    assert [effect.kind for effect in taken[0].model.effects] == ["hot_pixels", "row_noise"]
 
 
 def test_rivals_are_compared_beside_the_other_effects_that_are_taken_up():

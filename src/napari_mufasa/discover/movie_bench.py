@@ -19,6 +19,7 @@ from napari_mufasa.discover.measurement import Measurement
 from napari_mufasa.discover.nuisance import Nuisance
 from napari_mufasa.discover.read_off import (
     COURSES,
+    READ_LAST,
     RELIEFS,
     background_beyond,
     drift_beyond,
@@ -73,6 +74,7 @@ class MovieBench(Bench[Observation]):
     """Simulates and observes movies, with dark frames where the measurement has some."""
 
     matching_simulations = 2 * MATCHING_ROUNDS
+    read_last = READ_LAST
 
     def __init__(
         self,

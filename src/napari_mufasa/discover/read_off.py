@@ -53,8 +53,8 @@ def read_off(kind: str, observation: Observation) -> dict[str, Any]:
 
 def in_scale_of(whole: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
     """What a part of the field shows, its course and relief in the scale of what the whole field shows: where they are
-    0 and ±1 hangs on single values and their noise. (Least squares of the whole's values on the part's.) What begins at 0
-    is farthest from it on the same side, for that is the way that an effect's size points."""
+    0 and ±1 hangs on single values and their noise. (Least squares of the whole's values on the part's.) What begins at
+    0 is farthest from it on the same side, for that is the way that an effect's size points."""
     found = dict(part)
     for name in ("course", "seen"):
         here, there = np.array(part.get(name, ())), np.array(whole.get(name, ()))
@@ -260,7 +260,8 @@ READERS: dict[str, Reader] = {
 }
 DRIFTS = frozenset(kind for kind, reader in READERS.items() if reader in (light_course, light_step_and_course))
 RELIEFS = frozenset(kind for kind, reader in READERS.items() if reader in (uneven_light, uneven_background))
-COURSES = DRIFTS | {"laser_flicker", "background_as_measured"}
+READ_LAST = frozenset({"laser_flicker"})  # noise is what drifts leave
+COURSES = DRIFTS | READ_LAST | {"background_as_measured"}
 
 
 def repeats_a_course(effect: Effect) -> bool:

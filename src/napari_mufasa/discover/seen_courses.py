@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, signal
+from scipy import fft, ndimage, signal, stats
 
-from napari_mufasa.discover.rules import NEAR, OFF
+from napari_mufasa.discover.rules import ALARM, NEAR, OFF
 from napari_mufasa.effects.courses import stepwise
 from napari_mufasa.observe import Observation
 
@@ -97,8 +97,8 @@ def flicker_course(observation: Observation) -> dict[str, Any]:
 
 def flicker_in(course: Array) -> Array | None:
     """The 1/f noise in a course, with its spectrum (as `walk_alone`), where it and white noise are the likeliest law of
-    its cosines, of all or of all but the first, which a drift besides may fill. What is too large for the flicker is no
-    part of it."""
+    its cosines, of all or of all but the first, which a drift besides may fill. What is larger than
+    any by chance (but one time in fifty) is no part of the flicker."""
     if len(course) < TELLS_WALK or not course.var() > 0:
         return None
     cosines = fft.dct(course - course.mean(), norm="ortho")
@@ -106,7 +106,8 @@ def flicker_in(course: Array) -> Array | None:
     if law is None:
         return None
     scale, pink = law[0], law[1] * _pink(len(course), 1)
-    too_large = np.abs(cosines[1:]) > OFF * np.sqrt(scale * (1 + pink))
+    by_chance = stats.norm.isf(ALARM / (2 * len(pink))) * np.sqrt(scale * (1 + pink))
+    too_large = np.abs(cosines[1:]) > by_chance
     cosines[1:] *= np.where(too_large, 0.0, np.sqrt(pink / (1 + pink)))
     alone: Array = fft.idct(cosines, norm="ortho")
     return alone

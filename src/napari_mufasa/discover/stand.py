@@ -239,9 +239,7 @@ class Stand:
         and moves the same; near the floor, where few stand in for another, only if both are known to look alike."""
         found = []
         for kind in sorted(self.added, key=lambda kind: -self.worths[kind].evidence):
-            effect = next(e for e in self.state.model.effects if e.kind == kind)
-            ray = Ray(effect, self.moved_by(kind), effect.none_at(self.state.model))
-            itself = Lead(self.worths[kind].evidence, ray, 1.0)
+            itself = self.as_it_is(kind)
             alike = [
                 case
                 for case in self.rivals_of(kind)
@@ -249,6 +247,12 @@ class Stand:
             ]
             found.append([[itself], *alike[:RIVALS]])
         return found
+
+    def as_it_is(self, kind: str) -> Lead:
+        """An added effect as a lead that promises what it is worth."""
+        effect = next(e for e in self.state.model.effects if e.kind == kind)
+        ray = Ray(effect, self.moved_by(kind), effect.none_at(self.state.model))
+        return Lead(self.worths[kind].evidence, ray, 1.0)
 
     def share(self, kind: str) -> float:
         """How much of the error that is off without an added effect it takes away, 0 … 1."""

@@ -16,6 +16,7 @@ from napari_mufasa.discover.rules import (
     FAR,
     FAR_LESS,
     FAR_OFF,
+    FORM_ERROR,
     FORM_WORTH,
     NEAR,
     NOT_RISEN,
@@ -64,15 +65,16 @@ class Steps(Standing):
 
         def tries(group: Sequence[Case], beside: State) -> list[State]:
             new = [case for case in group if _kind(case) not in _kinds(state)]
-            return [started(stand.library, beside, case, stand.x) for case in new]
+            found = [started(stand.library, beside, case, stand.x) for case in new]
+            return found + (self._begun_before_courses(new[0]) if new and beside is stand.state else [])
 
-        for group in groups:
+        for group in sorted(groups, key=lambda group: _kind(group[0]) in self.bench.read_last):
             if state is not stand.state and not any(self._promises(state, case) for case in group):
                 continue
-            begun_here = tries(group, state)
+            begun_here, before = tries(group, state), _kinds(state)
             state = min(begun_here, key=lambda tried: tried.surprise(stand.x), default=state)
             if len(groups) > 1 and len(begun_here) > 1 and state.far_off(stand.x):
-                doubtful.append((_kinds(state)[-1], group))
+                doubtful += [(kind, group) for kind in _kinds(state) if kind not in before]
         for kind, group in doubtful:
             others = tries(group, joint.lacking(stand.library, state, kind))
             state = min([state, *others], key=lambda tried: tried.surprise(stand.x))
@@ -284,6 +286,21 @@ class Steps(Standing):
         cases = stand.companions_of(kind, formed)[:RIVALS]
         return [started(stand.library, formed, case, stand.x) for case in cases]
 
+    def _begun_before_courses(self, case: Case) -> list[State]:
+        """A case started before each effect in the model whose course is read otherwise beside it, and then that effect
+        beside it: what was read off may hold what the case is about."""
+        stand, found = self.stand, []
+        for effect in stand.state.model.effects:
+            course = getattr(effect, "course", ())
+            if effect.kind not in stand.added or not course or not effect.matters("course"):
+                continue
+            bare = stand.without(effect.kind)
+            seen = self.bench.read_off(effect.kind, stand.library.beside(bare, case[0].start()))
+            if _differ(course, seen.get("course", course)):
+                there = started(stand.library, bare, case, stand.x)
+                found.append(started(stand.library, there, [stand.as_it_is(effect.kind)], stand.x))
+        return found
+
     def _in_other_forms(self, kind: str) -> State | None:
         """An effect begun in the best of its other forms in its own place; None where it has none, or none that was
         kept when it was tried."""
@@ -379,6 +396,11 @@ def _worth_beside(stand: Stand, lesser: Stand, needed: float) -> Worth:
     """What a stand is worth that has one effect more than another."""
     evidence = max(lesser.state.score(stand.x) - stand.state.score(stand.x), 0.0)
     return Worth(evidence, lesser.error, needed)
+
+
+def _differ(course: Sequence[float], other: Sequence[float]) -> bool:
+    """Do two courses of an effect differ by more than its form may?"""
+    return len(course) != len(other) or bool(np.subtract(course, other).std() > FORM_ERROR * np.std(course))
 
 
 def _kind(case: Case) -> str:
