@@ -214,6 +214,29 @@ def test_only_the_ends_of_a_long_movie_are_looked_at_and_what_lies_between_is_no
     assert lit_frames(movie[:1170]) == (30, 1170) and lit_frames(movie[30:1170]) == (0, 1140)
 
 
+@pytest.mark.parametrize(
+    ("parts", "lit"),
+    [
+        ([(20, 0.0), (780, 100.0), (2, 0.0)], (20, 802)),  # two blank frames at the end
+        ([(20, 0.0), (80, 100.0), (2, 0.0), (80, 100.0)], (20, 182)),
+        ([(20, 0.0), *((1, 100 * np.exp(-t / 100)) for t in range(1500))], (20, 1520)),  # light that fades
+        ([*((1, 100 * np.exp(-t / 100)) for t in range(1499, -1, -1)), (20, 0.0)], (0, 1500)),
+        ([(20, 0.0), (200, 100.0), (100, 60.0)], (20, 320)),  # a laser that falls is no end of the light
+        ([(100, 40.0), (200, 100.0), (20, 0.0)], (0, 300)),
+        ([(20, 0.0), (200, 100.0), (100, 40.0), (20, 0.0)], (20, 320)),
+        ([(20, 0.0), (40, 100.0), (60, 0.0)], (20, 60)),
+        ([(1, 50 + 0.5 * t) for t in range(300)], (0, 300)),  # grows little by little
+        ([(300, 100.0)], (0, 300)),
+    ],
+)
+def test_each_end_of_a_movie_is_dark_or_lit_by_itself(parts, lit):
+    """By the lit frames beside it: blank frames, or less light, at the other end made dark ones light."""
+    level = np.concatenate([np.full(n, e) for n, e in parts])
+    assert (
+        lit_frames(ccd(np.broadcast_to(level[:, None, None], (len(level), 16, 16)), np.random.default_rng(15))) == lit
+    )
+
+
 @pytest.mark.parametrize(("dim_e", "is_shadow"), [(0.0, True), (5.0, False)])
 def test_a_dim_half_of_the_chip_is_not_taken_for_a_dark_one(dim_e, is_shadow):
     light = np.full((60, 96, 96), dim_e)

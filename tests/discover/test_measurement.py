@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 import napari_mufasa as nm
 from napari_mufasa.discover.measurement import LEAST_DARK, prepare
@@ -64,6 +65,27 @@ def test_light_that_falls_to_a_fifth_is_not_gone_by_the_dark_frames():
     fallen = model().with_effects(falls).with_values({"optics.background_photons_per_px": 60.0})
     movie = nm.simulate(fallen, seed=1).movie
     assert prepare(movie, model(), nm.simulate_dark(model(), 30, seed=2)).movie.shape == movie.shape
+
+
+@pytest.mark.parametrize("given", [True, False])
+@pytest.mark.parametrize("change", [-0.4, -0.5])
+def test_frames_before_the_light_are_dark_though_the_laser_falls_later(change, given):
+    """The fall, which is none of the light's end, made the dark frames light, too."""
+    falls = effect_class("laser_drift")(change=change, form="step", step_at=0.6)
+    fallen = model().with_effects(falls).with_values({"optics.background_photons_per_px": 60.0})
+    dark, lit = nm.simulate_dark(model(), 30, seed=2), nm.simulate(fallen, seed=1).movie
+    found = prepare(np.concatenate([dark, lit]), model(), dark if given else None)
+    np.testing.assert_array_equal(found.movie, lit)
+    np.testing.assert_array_equal(found.dark, dark)
+
+
+def test_an_end_that_is_lit_by_the_level_believed_makes_no_dark_frames_lit():
+    """At either end a sudden change, one of a part of the field only."""
+    dark, lit = nm.simulate_dark(model(), 30, seed=2), nm.simulate(model(), seed=1).movie
+    part = lit[:30].copy()
+    part[:, :40] = dark[:, :40]
+    found = prepare(np.concatenate([part, lit, dark]), model(), dark)
+    assert len(found.movie) == 30 + len(lit) and found.notes == ("Frames 90 to 119 are dark: they are left out.",)
 
 
 def test_a_few_dark_frames_before_the_light_do_not_serve_as_dark_frames():

@@ -14,7 +14,9 @@ from napari_mufasa.errors import Cancelled, MufasaError
 CHUNKS = 10  # parts of the movie whose spread gives uncertainties
 CHUNK_FRAMES = 16  # in each at least
 CHUNK_BYTES = 2**25  # of each at most, as float32
-END_FRAMES = 500  # at either end of a movie, among which dark ones are looked for
+END_FRAMES = 500  # at either end of a movie, among which dark ones are looked for …
+LEAST_END = 3  # … so many of them, and of lit ones beside them …
+BESIDE = 8  # … which are lit one and all, so many of the next; of those farther on half
 DIM = 0.1  # of the light, that frames before or after it may hold and be dark, where the dark level is known
 MOST_PX = 2**20  # of the field, in its middle, that are looked at one by one
 DARK_SHARE = 0.05  # of the field that must lie in shadow to be used
@@ -70,23 +72,42 @@ def some_frames(stack: Any, n: int, first: int = 0, part: tuple[slice, ...] = ()
 
 def lit_frames(movie: Any) -> tuple[int, int]:
     """First frame under light, and that after the last one: what lies before a sudden, lasting rise of the mean, and
-    after such a fall, is dark; (0, number of frames) where there is none. Looks at both ends, `END_FRAMES` of each."""
+    after such a fall, is dark; (0, number of frames) where there is none. Looks at both ends, `END_FRAMES` of each, and
+    judges each by itself; of two, one that holds light (`DIM`) by the level of the other is lit."""
     n = int(movie.shape[0])
     step = max(1, int(np.sqrt(movie.shape[1] * movie.shape[2] / 4096)))
-    looked = np.array([i for i in range(n) if min(i, n - 1 - i) < END_FRAMES])
-    level = np.array([float(np.mean(np.asarray(movie[int(i)])[::step, ::step])) for i in looked])
-    if len(level) < 8:
-        return 0, n
-    jumps = np.diff(level) * (np.diff(looked) == 1)
-    rise, fall, end = int(np.argmax(jumps)) + 1, int(np.argmin(jumps)) + 1, len(level)
-    for first, last in ((rise, fall), (rise, end), (0, fall)):
-        lit, ends = level[first:last], [part for part in (level[:first], level[last:]) if len(part)]
-        if min(len(lit), *(len(part) for part in ends)) < 3:
+    looked = [i for i in range(n) if min(i, n - 1 - i) < END_FRAMES]
+    level = np.array([float(np.mean(np.asarray(movie[i])[::step, ::step])) for i in looked])
+    begin, end = level[:END_FRAMES], level[::-1][:END_FRAMES]
+    first, last = _unlit(begin), _unlit(end)
+    if first and last:
+        dark = [float(np.mean(part[:unlit])) for part, unlit in ((begin, first), (end, last))]
+        light = [float(np.median(_lasting(part[unlit:]))) - min(dark) for part, unlit in ((begin, first), (end, last))]
+        dim = [own - min(dark) > DIM * beside for own, beside in zip(dark, light, strict=True)]
+        first, last = 0 if dim[0] else first, 0 if dim[1] else last
+    return first, n - last
+
+
+def _unlit(level: NDArray[np.float64]) -> int:
+    """How many of the first frames, by the mean of each, lie before a sudden rise that lasts."""
+    jumps = np.diff(level)
+    if len(level) < 8 or jumps.max() <= 0:
+        return 0
+    # Light that goes on in steps, or goes out for a frame, rises more than once: the first of the large ones counts.
+    for at in np.flatnonzero(jumps > jumps.max() / 4) + 1:
+        before, lit = level[:at], _lasting(level[at:])
+        if min(len(before), len(lit)) < LEAST_END:
             continue
-        # The first lit frame may be lit in part; the dark ones are alike and all below all lit ones.
-        if all(part.max() + 10 * max(float(np.std(part)), 1e-9) < lit.min() for part in ends):
-            return int(looked[first]), n if last == end else int(looked[last])
-    return 0, n
+        # The first lit frame may be lit in part; the dark ones are alike and all below the next lit ones.
+        if before.max() + 10 * max(float(np.std(before)), 1e-9) < min(lit[:BESIDE].min(), np.median(lit)):
+            return int(at)
+    return 0
+
+
+def _lasting(level: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What begins lit, up to its deepest fall after `BESIDE` frames; it may fade from the first on."""
+    falls = np.diff(level[BESIDE - 1 :])
+    return level[: BESIDE + int(np.argmin(falls))] if len(falls) else level
 
 
 def shadow(chunks: list[NDArray[np.float32]]) -> NDArray[np.bool_] | None:

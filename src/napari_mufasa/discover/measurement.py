@@ -97,19 +97,22 @@ def cropped(model: Model) -> Model:
 
 
 def _lit(movie: NDArray[np.uint16], level_adu: float, share: float) -> tuple[int, int]:
-    """First lit frame and that after the last one; all are lit unless those before and after hold less than a share of
-    the light above the dark level, and it comes and goes all over the field."""
+    """First lit frame and that after the last one. Frames before or after are lit, too, unless they hold less than a
+    share of the light beside them above the dark level, and it comes or goes all over the field: each end by itself."""
     first, stop = lit_frames(movie)
-    unlit = [
-        part for part in (movie[max(first - DARK_FRAMES, 0) : first], movie[stop : stop + DARK_FRAMES]) if len(part)
-    ]
-    light = movie[first : min(first + DARK_FRAMES, stop)].mean(axis=0)
-    for part in unlit:
-        rise = light - part.mean(axis=0)
+    head, tail = movie[first : min(first + DARK_FRAMES, stop)], movie[max(stop - DARK_FRAMES, first) : stop]
+
+    def unlit(part: NDArray[np.uint16], lit: NDArray[np.uint16]) -> bool:
+        if not len(part):
+            return False
+        rise = lit.mean(axis=0) - part.mean(axis=0)
         dark = float(part.mean()) - level_adu < share * float(rise.mean())
-        if not dark or float(np.median(rise)) <= ALL_OVER * float(rise.mean()):
-            return 0, len(movie)
-    return first, stop
+        return dark and float(np.median(rise)) > ALL_OVER * float(rise.mean())
+
+    return (
+        first if unlit(movie[max(first - DARK_FRAMES, 0) : first], head) else 0,
+        stop if unlit(movie[stop : stop + DARK_FRAMES], tail) else len(movie),
+    )
 
 
 def _shape(movie: Any) -> tuple[int, int, int]:
