@@ -45,6 +45,16 @@ def test_unlit_ends_are_left_out_where_dark_frames_are_given_too():
     assert ended.notes == ("Frames 60 to 89 are dark: they are left out.",)
 
 
+def test_a_long_movie_whose_light_goes_off_ends_there():
+    """Its model simulated lit light in the dark frames that nobody looked at."""
+    rng = np.random.default_rng(1)
+    lit, dark = (rng.normal(level, 20, (n, 24, 24)).round().astype(np.uint16) for level, n in ((900, 400), (500, 300)))
+    found = prepare(np.concatenate([lit, dark]), model(), dark)
+    assert found.whole == (400, 24, 24) and found.model.acquisition.n_frames == 400
+    later = prepare(np.concatenate([dark[:20], lit, lit]), model(), dark)
+    assert later.whole == (800, 24, 24) and len(later.movie) == 580
+
+
 def test_what_is_left_of_a_movie_begins_with_an_even_frame():
     """Even and odd frames may have baselines of their own, and a model speaks of the whole movie's."""
     whole, dark, lit = begun_dark(29)

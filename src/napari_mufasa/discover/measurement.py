@@ -80,7 +80,7 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
             notes.append(f"Frames {stop} to {frames - 1} are dark: they are left out.")
         if first and dark_data is None:
             dark_data = data[max(begin - DARK_FRAMES, 0) : first]
-        data, shape = data[begin:stop], ((stop if frames == shape[0] else shape[0]) - begin, *shape[1:])
+        data, shape = data[begin:stop], ((stop if stop < frames else shape[0]) - begin, *shape[1:])
         region = (slice(0, len(data)), rows, columns)
     whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
     here = whole.in_shape(region=region).with_values({"sample.layout": "random"})
