@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.calibrate import calibrate, rows, unlit
+from napari_mufasa.calibrate import calibrate, measure, rows, unlit
 from napari_mufasa.calibrate.codes import code_widths
 from napari_mufasa.calibrate.dark import DarkFrames, measure_dark
 from napari_mufasa.calibrate.sample import lit_frames
@@ -195,6 +195,61 @@ def test_dark_frames_at_the_end_tell_of_even_frames_as_the_movie_counts_them(n_l
     movie[::2] += 3
     found = calibrate(movie, camera_type="CCD")
     assert found.trailing_dark == 40 and found.readout.alternation_adu.value == pytest.approx(1.5, abs=0.1)
+
+
+def test_less_light_at_the_end_makes_no_dark_frames():
+    """Of a smooth field nothing shows it. The baseline came out as that of the dim frames."""
+    rng = np.random.default_rng(16)
+    light = np.broadcast_to(np.linspace(20, 100, 64), (64, 64))
+    movie = ccd(np.concatenate([np.broadcast_to(x * light, (n, 64, 64)) for x, n in ((1.0, 200), (0.4, 100))]), rng)
+    found = calibrate(movie, camera_type="CCD")
+    assert found.baseline_adu.holds(100.0) and found.read_noise_adu.holds(4.0)
+    assert found.trailing_dark == 0 and any(
+        "200 to 299" in note and "give them as dark" in note for note in found.notes
+    )
+    even = ccd(np.repeat([100.0, 50.0], [200, 100])[:, None, None] * np.ones((1, 64, 64)), rng)
+    with pytest.raises(nm.MufasaError, match="record dark frames"):
+        calibrate(even, camera_type="CCD")
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_less_light_at_the_end_is_light_by_the_dark_frames_at_the_beginning(given):
+    rng = np.random.default_rng(17)
+    image = 20 + spots()
+    light = [np.broadcast_to(x * image, (n, 64, 64)) for x, n in ((0.0, 20), (1.0, 100), (0.4, 60))]
+    movie, dark = ccd(np.concatenate(light), rng), ccd(np.zeros((60, 64, 64)), rng)
+    found = calibrate(movie, dark if given else None, camera_type="CCD")
+    assert (found.leading_dark, found.trailing_dark) == (20, 0)
+    assert not any("120 to 179" in note for note in found.notes)
+
+
+def test_an_end_that_is_dark_by_the_dark_frames_is_left_out_though_the_other_is_not():
+    """As dark as each other, by half a count; the dark frames are as dark as neither."""
+    rng = np.random.default_rng(18)
+    light = [np.full((n, 64, 64), e) for e, n in ((1.8, 20), (20.0, 100), (0.0, 20))]
+    movie, dark = ccd(np.concatenate(light), rng), ccd(np.zeros((60, 64, 64)), rng) - 1
+    assert lit_frames(movie) == (20, 120)
+    found = calibrate(movie, dark, camera_type="CCD")
+    assert (found.leading_dark, found.trailing_dark) == (0, 20)
+
+
+def test_the_ends_of_a_movie_are_looked_for_once_and_read_many_frames_at_a_time(monkeypatch):
+    """Frame by frame each chunk of a file was read as often as it has frames."""
+    reads, looks = [], []
+
+    class Stored:
+        def __init__(self, data):
+            self.data, self.shape, self.dtype, self.ndim = data, data.shape, data.dtype, data.ndim
+
+        def __getitem__(self, part):
+            reads.append(part)
+            return self.data[part]
+
+    movie = ccd(np.broadcast_to(np.linspace(20, 100, 64), (120, 64, 64)), np.random.default_rng(19))
+    assert lit_frames(Stored(movie)) == (0, 120) and len(reads) == 1
+    monkeypatch.setattr(measure, "lit_frames", lambda *given: looks.append(1) or lit_frames(*given))
+    assert calibrate(movie, ccd(np.zeros((40, 64, 64)), np.random.default_rng(20))).camera.type == "CCD"
+    assert len(looks) == 1
 
 
 def test_ends_that_are_dim_by_the_dark_frames_are_light():

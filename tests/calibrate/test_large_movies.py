@@ -43,7 +43,7 @@ def test_dark_maps_are_mean_and_variance_of_every_pixel(movies):
 
 def test_reading_many_dark_frames_can_be_cancelled(movies, monkeypatch):
     movie, dark = movies
-    monkeypatch.setattr(dark_frames, "READ_BYTES", 8 * dark[0].size)  # one at a time
+    monkeypatch.setattr(sample, "READ_BYTES", 8 * dark[0].size)  # one at a time
     asked = []
     with pytest.raises(nm.Cancelled):
         nm.calibrate(movie, dark, camera_type="CMOS", cancel=lambda: asked.append(1) or len(asked) > 30)
@@ -75,7 +75,7 @@ def test_a_part_of_a_large_movie_says_what_all_of_it_says_in_less_memory(movies,
     monkeypatch.setattr(sample, "MOST_PX", 80 * 80)
     monkeypatch.setattr(sample, "CHUNK_BYTES", 4 * 80 * 80 * 8)
     monkeypatch.setattr(dark_frames, "MOST_COUNTS", 80 * 80 * 24)
-    monkeypatch.setattr(dark_frames, "READ_BYTES", 2**20)
+    monkeypatch.setattr(sample, "READ_BYTES", 2**20)
     part, memory = calibrated()
     assert memory < all_memory / 2
     assert any("middle 80 × 80" in note for note in part.notes)

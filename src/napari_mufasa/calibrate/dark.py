@@ -14,14 +14,12 @@ from napari_mufasa.calibrate import histogram
 from napari_mufasa.calibrate.histogram import Fit
 from napari_mufasa.calibrate.law import Law
 from napari_mufasa.calibrate.rows import Correlations, Products
-from napari_mufasa.calibrate.sample import counts, window
+from napari_mufasa.calibrate.sample import blocks, counts, window
 from napari_mufasa.calibrate.value import NORMAL, UNKNOWN, Value
-from napari_mufasa.errors import Cancelled
 
 TAIL_SD = 5.0
 MOST_COUNTS = 2**24  # that are looked at one by one …
 LEAST_CHOSEN = 16  # … of so many frames at least
-READ_BYTES = 2**25  # at a time
 LEAST_FRAMES = 5  # for what needs each pixel's own mean
 LOOK_FRAMES = 32  # by which hot pixels are told before the others are measured
 HOT_SD = 6.0  # robust sd of the pixels' variances above their median, from which on a pixel is hot …
@@ -171,11 +169,8 @@ def _hot(
 def _frames_of(stacks: Sequence[Any], cancel: Callable[[], bool] | None) -> Iterator[NDArray[np.float64]]:
     """Frame by frame, read a few at a time."""
     for stack in stacks:
-        step = max(1, READ_BYTES // max(8 * int(np.prod(stack.shape[1:])), 1))
-        for start in range(0, len(stack), step):
-            if cancel is not None and cancel():
-                raise Cancelled
-            yield from counts(stack[start : start + step], "dark frames").astype(np.float64)
+        for some in blocks(stack.shape, 0, len(stack), cancel):
+            yield from counts(stack[some], "dark frames").astype(np.float64)
 
 
 def measure_dark(

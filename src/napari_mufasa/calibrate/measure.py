@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -26,11 +26,12 @@ from napari_mufasa.calibrate.kind import doubt, kind_of
 from napari_mufasa.calibrate.light import Light
 from napari_mufasa.calibrate.sample import DIM, lit_chunks, lit_frames, shadow, some_frames
 from napari_mufasa.camera.darkness import FRAMES as LOOKED_AT
-from napari_mufasa.camera.darkness import light_in_dark
+from napari_mufasa.camera.darkness import light_in_dark, share_shown
 from napari_mufasa.errors import MufasaError
 
 CameraType = Literal["CCD", "EMCCD", "CMOS"]
 LEAST_UNSATURATED = 0.02  # share of the pixels that must be free of saturation for the others to be left out
+SURE = 3.0  # sd by which frames must show less than the light does to be dark
 WIDE_PX = 32  # frames from which on the first columns can be spared
 DARK_CHARGE_E = 1.0  # electrons per pixel and frame below which a shadow counts as dark
 
@@ -92,10 +93,12 @@ def calibrate(
     kernel = None if readout_kernel is None else tuple(float(share) for share in readout_kernel)
     assumed = Assumed(excess_noise_factor, kernel, clock_induced_charge_e, baseline_adu, read_noise_adu)
 
+    ends = _unlit_ends(movie, dark, baseline_adu, cancel)
+
     def taken_for(kind: CameraType) -> Calibration:
         gain = em_gain if kind == "EMCCD" else None
         known = (gain, electrons_per_adu, quantum_efficiency, assumed, adc_max)
-        return _calibrated(movie, dark, kind, *known, progress, cancel)
+        return _calibrated(movie, ends, kind, *known, progress, cancel)
 
     without = em_gain == 1 and camera_type in (None, "EMCCD")
     if not without and (camera_type is not None or em_gain is not None):
@@ -115,15 +118,15 @@ def calibrate(
 
 
 def _calibrated(
-    movie: Any, dark: Any, camera_type: CameraType, em_gain: float | None, electrons_per_adu: float | None,
+    movie: Any, ends: Ends, camera_type: CameraType, em_gain: float | None, electrons_per_adu: float | None,
     quantum_efficiency: float, assumed: Assumed, adc_max: int, progress: Callable[[int, int], None] | None,
     cancel: Callable[[], bool] | None,
 ) -> Calibration:  # fmt: skip
     """The same of a camera whose type is known."""
     shape, baseline_adu = tuple(movie.shape), assumed.baseline_adu
     excess_noise_factor, clock_induced_charge_e = assumed.excess_noise_factor, assumed.clock_induced_charge_e
-    register, notes = camera_type == "EMCCD", list[str]()
-    first, stop, dark = _unlit_ends(movie, dark, baseline_adu, notes)
+    register, notes, dark = camera_type == "EMCCD", list(ends.notes), ends.dark
+    first, stop = ends.measured
     movie = checks.unread(movie)[:stop] if stop < shape[0] else movie
     chunks = lit_chunks(movie, first, progress, cancel)
     _, height, width = chunks[0].shape
@@ -170,37 +173,67 @@ def _calibrated(
     if full is not None:
         camera = camera.model_copy(update={"adc_max": min(int(full), camera.adc_max)})
     return replace(
-        found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full, leading_dark=first,
-        trailing_dark=shape[0] - stop,
+        found, camera=camera, em_gain=gains[0], electrons_per_adu=gains[1], saturation_adu=full,
+        leading_dark=ends.leading_dark, trailing_dark=ends.trailing_dark,
     )  # fmt: skip
 
 
-def _unlit_ends(movie: Any, dark: Any, baseline_adu: float | None, notes: list[str]) -> tuple[int, int, Any]:
-    """The movie's first lit frame, that after its last one, and its dark frames: those given, else what is dark at its
-    beginning, or at its end."""
+@dataclass(frozen=True)
+class Ends:
+    """measured : the first frame, and that after the last one, by which the light is measured · leading_dark,
+    trailing_dark : so many are dark · dark : frames, given or the movie's own, or None"""
+
+    measured: tuple[int, int]
+    dark: Any
+    leading_dark: int = 0
+    trailing_dark: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def _unlit_ends(movie: Any, dark: Any, baseline_adu: float | None, cancel: Callable[[], bool] | None) -> Ends:
+    """What is dark of a movie; without dark frames what is dark at its beginning, or at its end, serves as such."""
     n = int(movie.shape[0])
-    first, stop = lit_frames(movie)
+    first, stop = lit_frames(movie, cancel)
+    movie = checks.unread(movie)
     ends = [(start, end) for start, end in ((0, first), (stop, n)) if start < end]
     if not ends:
-        return 0, n, dark
-    told = " and ".join(f"{start} to {end - 1}" for start, end in ends)
-    parts = [checks.unread(movie)[start:end] for start, end in ends]
-    if dark is None and baseline_adu is None:
-        # An even frame first: the baseline of odd ones may differ.
-        own = np.asarray(parts[0][ends[0][0] % 2 :])
-        if light_in_dark(some_frames(checks.unread(movie)[:stop], LOOKED_AT, first), own):
-            notes.append(f"frames {told} are darker, but show what the others show: not taken for dark frames")
-            return 0, n, None
-        used, *others = told.split(" and ")
-        notes.append(f"frames {used} are dark and were used as dark frames")
-        notes += [f"frames {other} are dark: left out" for other in others]
-        return first, stop, own
-    level = float(baseline_adu or 0.0) if dark is None else float(np.mean(some_frames(dark, LOOKED_AT)))
-    light = float(np.mean(some_frames(checks.unread(movie)[:stop], LOOKED_AT, first))) - level
-    if any(abs(float(np.mean(some_frames(part, LOOKED_AT))) - level) > DIM * light for part in parts):
-        return 0, n, dark
-    notes.append(f"frames {told} are dark: left out")
-    return first, stop, dark
+        return Ends((0, n), dark)
+    if dark is not None or baseline_adu is not None:
+        level = float(baseline_adu or 0.0) if dark is None else float(np.mean(some_frames(dark, LOOKED_AT)))
+        most = DIM * (float(np.mean(some_frames(movie[:stop], LOOKED_AT, first))) - level)
+        ends = [end for end in ends if abs(float(np.mean(some_frames(movie[slice(*end)], LOOKED_AT))) - level) <= most]
+        return _left_out(n, dark, ends, [_told(end, "are dark: left out") for end in ends])
+    used, *others = ends
+    # An even frame first: the baseline of odd ones may differ.
+    own = movie[used[0] + used[0] % 2 : used[1]]
+    if light_in_dark(some_frames(movie[:stop], LOOKED_AT, first), own):
+        words = "are darker, but show what the others show: not taken for dark frames"
+        return Ends((0, n), None, notes=tuple(_told(end, words) for end in ends))
+    if used[0] and not _shown_dark(movie[first:stop], own):
+        words = "are darker, but nothing shows that they are dark: left out here; give them as dark frames if they are"
+        return Ends((first, stop), None, notes=(_told(used, words),))
+    notes = [_told(used, "are dark and were used as dark frames")]
+    return _left_out(n, own, ends, notes + [_told(end, "are dark: left out") for end in others])
+
+
+def _left_out(n: int, dark: Any, ends: list[tuple[int, int]], notes: list[str]) -> Ends:
+    first, stop = max([end for start, end in ends if not start], default=0), min([s for s, _ in ends if s], default=n)
+    return Ends((first, stop), dark, first, n - stop, tuple(notes))
+
+
+def _told(end: tuple[int, int], words: str) -> str:
+    return f"frames {end[0]} to {end[1] - 1} {words}"
+
+
+def _shown_dark(lit: Any, after: Any) -> bool:
+    """Whether frames after the lit ones hold less than `DIM` of their light, whatever the dark level is: by their mean,
+    for no level is below 0, or because they show too little of what the last lit ones show."""
+    bright, dim = (float(np.mean(some_frames(part, LOOKED_AT))) for part in (lit, after))
+    if dim < DIM * bright:
+        return True
+    n = min(LOOKED_AT, len(after), len(lit) // 2)
+    share, sd = share_shown(lit[len(lit) - 2 * n : len(lit) - n], lit[len(lit) - n :], after[:n])
+    return share + SURE * sd < DIM
 
 
 def check_given(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from napari_mufasa.errors import Cancelled, MufasaError
 CHUNKS = 10  # parts of the movie whose spread gives uncertainties
 CHUNK_FRAMES = 16  # in each at least
 CHUNK_BYTES = 2**25  # of each at most, as float32
+READ_BYTES = 2**25  # at a time, where all frames are read
 END_FRAMES = 500  # at either end of a movie, among which dark ones are looked for …
 LEAST_END = 3  # … so many of them, and of lit ones beside them …
 BESIDE = 8  # … which are lit one and all, so many of the next; of those farther on half
@@ -70,14 +71,26 @@ def some_frames(stack: Any, n: int, first: int = 0, part: tuple[slice, ...] = ()
     return np.stack([np.asarray(stack[(int(t), *part)]) for t in chosen])
 
 
-def lit_frames(movie: Any) -> tuple[int, int]:
+def blocks(shape: tuple[int, ...], start: int, stop: int, cancel: Callable[[], bool] | None = None) -> Iterator[slice]:
+    """The frames start … stop of a stack as runs that are read at a time: `READ_BYTES` each, as float64."""
+    step = max(1, READ_BYTES // max(8 * int(np.prod(shape[1:])), 1))
+    for first in range(start, stop, step):
+        if cancel is not None and cancel():
+            raise Cancelled
+        yield slice(first, min(first + step, stop))
+
+
+def lit_frames(movie: Any, cancel: Callable[[], bool] | None = None) -> tuple[int, int]:
     """First frame under light, and that after the last one: what lies before a sudden, lasting rise of the mean, and
     after such a fall, is dark; (0, number of frames) where there is none. Looks at both ends, `END_FRAMES` of each, and
     judges each by itself; of two, one that holds light (`DIM`) by the level of the other is lit."""
     n = int(movie.shape[0])
     step = max(1, int(np.sqrt(movie.shape[1] * movie.shape[2] / 4096)))
-    looked = [i for i in range(n) if min(i, n - 1 - i) < END_FRAMES]
-    level = np.array([float(np.mean(np.asarray(movie[i])[::step, ::step])) for i in looked])
+    ends = [(0, n)] if n <= 2 * END_FRAMES else [(0, END_FRAMES), (n - END_FRAMES, n)]
+    looked = (
+        np.asarray(movie[some])[:, ::step, ::step] for part in ends for some in blocks(movie.shape, *part, cancel)
+    )
+    level = np.concatenate([block.mean(axis=(1, 2), dtype=np.float64) for block in looked])
     begin, end = level[:END_FRAMES], level[::-1][:END_FRAMES]
     first, last = _unlit(begin), _unlit(end)
     if first and last:

@@ -28,11 +28,28 @@ def light_in_dark(movie: Any, dark: Any) -> str | None:
     if min(lit.shape) < 2 * SMOOTH_PX:
         return None
     a, b = _fine(lit), _fine(unlit)
-    pairs = [(a[1:, 1:], b[:-1, :-1]), (a[:-1, :-1], b[1:, 1:]), (a[1:, :-1], b[:-1, 1:]), (a[:-1, 1:], b[1:, :-1])]
-    alike = float(np.mean([_correlation(x, y) for x, y in pairs]))
+    alike = float(np.mean([_correlation(x, y) for x, y in _diagonals(a, b)]))
     if alike * np.sqrt(b.size) > ALARM_SD:
         return f"the dark frames show what the movie shows (correlation {alike:.2f}): is there light in them?"
     return None
+
+
+def share_shown(before: Any, beside: Any, after: Any) -> tuple[float, float]:
+    """How much of what they show is common to frames `before` and `beside` is in those `after`, and its sd: 1 where the
+    light stays, 0 without light; infinitely unsure where they show nothing. Of bright things it is too much rather than
+    too little (`_fine`)."""
+    a, b, c = (_fine(_mean(part)) for part in (before, beside, after))
+    if min(a.shape) < 2 * SMOOTH_PX:
+        return 0.0, np.inf
+    common, left = (float(np.mean([np.mean(x * y) for x, y in _diagonals(a, other)])) for other in (b, c))
+    if common <= ALARM_SD * float(a.std() * b.std()) / np.sqrt(a.size):
+        return 0.0, np.inf
+    return left / common, float(a.std() * c.std()) / np.sqrt(a.size) / common
+
+
+def _diagonals(a: NDArray[np.float64], b: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Each pixel of one image beside its neighbours along the diagonals in the other."""
+    return [(a[1:, 1:], b[:-1, :-1]), (a[:-1, :-1], b[1:, 1:]), (a[1:, :-1], b[:-1, 1:]), (a[:-1, 1:], b[1:, :-1])]
 
 
 def _mean(stack: Any) -> NDArray[np.float64]:
