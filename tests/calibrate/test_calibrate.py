@@ -276,6 +276,8 @@ def test_a_camera_without_a_register_is_not_taken_for_an_emccd_in_silence():
     assert not any("really an EMCCD" in note for note in calibrate(movie, dark).notes)
     contradicted = calibrate(movie, dark, em_gain=1)
     assert contradicted.camera.type == "EMCCD" and "the EM gain is said to be 1, but" in contradicted.notes[-1]
+    assert contradicted.camera.em_gain == 300.0 and "with a gain of 300; give the gain" in contradicted.notes[-1]
+    assert calibrate(movie, dark, em_gain=1, electrons_per_adu=10.0).camera.electrons_per_adu == 10.0
 
 
 @pytest.mark.parametrize("camera_type", [None, "EMCCD"])
@@ -286,6 +288,7 @@ def test_a_gain_of_1_is_no_register(camera_type):
     assert found.camera.type == "CCD" and found.type_untold is None
     assert found.camera.electrons_per_adu == pytest.approx(0.8, rel=0.03)
     assert "an EM gain of 1 multiplies nothing: CCD is taken" in found.notes[-1]
+    assert ("give its type" in found.notes[-1]) == (camera_type is None)
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.25, 0.5])

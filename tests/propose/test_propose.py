@@ -239,6 +239,15 @@ def test_what_is_told_of_the_camera_says_no_register_that_did_not_multiply(writt
     assert (words is None and notes == []) or words in " ".join(notes)
 
 
+def test_an_em_gain_of_1_in_the_metadata_that_the_counts_refute_is_not_taken(bright):
+    """A wheel that the software did not read: the register multiplied all the same."""
+    _, movie, dark = bright
+    found = nm.propose_model(movie, dark, instrument=Instrument(camera="iXon", em_gain=1.0))
+    assert (found.model.camera.type, found.model.camera.em_gain) == ("EMCCD", 300.0)
+    assert "gain 300 is taken" in found.unknown["camera.em_gain"]
+    assert sum("the EM gain is said to be 1, but" in note for note in found.notes) == 1
+
+
 @pytest.mark.parametrize(("camera", "em_gain"), [("iXon", None), ("iXon", 1.0), (None, None)])
 def test_a_register_that_did_not_multiply_does_not_double_the_light(camera, em_gain):
     """The name of such a camera, a gain of no said kind, and an EM gain of 1 made an EMCCD of a CCD's counts."""

@@ -65,7 +65,7 @@ def calibrate(
         photoelectron makes, say (`kind_of`): EMCCD or CCD; a CMOS counts its electrons alike
     em_gain, electrons_per_adu : photon transfer measures only their ratio; give one (default: gain 300 for
         an EMCCD) and the other follows; an EM gain of 1 says CCD, an EMCCD's type or not, unless the histogram shows
-        the excess noise of a register
+        the excess noise of a register: it is then taken as if it were not given
     excess_noise_factor : F² of the multiplication; None: 2 for an EMCCD, 1 else
     readout_kernel, clock_induced_charge_e : taken so instead of measured; () and 0: none, () of the read noise, too
     baseline_adu, read_noise_adu : known values, instead of dark frames; with the baseline alone the read noise is what
@@ -95,12 +95,13 @@ def calibrate(
 
     ends = _unlit_ends(movie, dark, baseline_adu, cancel)
 
+    without = em_gain == 1 and camera_type in (None, "EMCCD")
+
     def taken_for(kind: CameraType) -> Calibration:
-        gain = em_gain if kind == "EMCCD" else None
+        gain = em_gain if kind == "EMCCD" and not without else None
         known = (gain, electrons_per_adu, quantum_efficiency, assumed, adc_max)
         return _calibrated(movie, ends, kind, *known, progress, cancel)
 
-    without = em_gain == 1 and camera_type in (None, "EMCCD")
     if not without and (camera_type is not None or em_gain is not None):
         return taken_for(camera_type or "EMCCD")
     found = taken_for("EMCCD")
@@ -112,8 +113,11 @@ def calibrate(
     if without:
         told = "an EM gain of 1 multiplies nothing: CCD is taken"
         if kind == "EMCCD":
-            told = "the EM gain is said to be 1, but the counts are those of a register: EMCCD is taken; check the gain"
-    alike = "" if kind == "EMCCD" else " (a CMOS counts alike: give its type if it is one)"
+            told = (
+                "the EM gain is said to be 1, but the counts are those of a register: EMCCD is taken, with a gain of "
+                f"{found.em_gain.value:.3g}; give the gain that was set"
+            )
+    alike = "" if kind == "EMCCD" or camera_type is not None else " (a CMOS counts alike: give its type if it is one)"
     return replace(found, notes=[*found.notes, told + alike], type_untold=untold)
 
 

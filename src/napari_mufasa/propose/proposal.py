@@ -161,7 +161,7 @@ def _camera(
             f"test of fit of the camera: p = {found.p_value:.2g}: its law is not all there is, and its intervals may "
             "be too narrow"
         )
-    if kind == "EMCCD" and asked["em_gain"] is None and asked["electrons_per_adu"] is None:
+    if kind == "EMCCD" and asked["em_gain"] in (None, 1) and asked["electrons_per_adu"] is None:
         unknown["camera.em_gain"] = "only gain over electrons per count shows in a movie; gain 300 is taken"
     unknown["camera.quantum_efficiency"] = f"does not show in a movie; {asked['quantum_efficiency']:g} is taken"
     low, high = found.adu_per_photoelectron.interval
