@@ -167,7 +167,12 @@ def _calibrated(
             seen_dark = measure_dark(frames, register, clock_induced_charge_e, weights)
     factor = excess_noise_factor or (2.0 if register else 1.0)
     notes.append(f"excess noise factor {factor:g} " + ("given" if excess_noise_factor else f"assumed ({camera_type})"))
-    found = assessed(seen, seen_dark, assumed, factor, notes)
+    try:
+        found = assessed(seen, seen_dark, assumed, factor, notes)
+    except MufasaError as error:
+        if dark is not None or not ends.notes:
+            raise
+        raise MufasaError(f"{error}; {'; '.join(ends.notes)}") from error
     camera, gains = camera_of(
         camera_type, found, em_gain, electrons_per_adu, quantum_efficiency, seen_dark, assumed, adc_max,
         code_widths(chunk[:, lit] for chunk in chunks), notes,
