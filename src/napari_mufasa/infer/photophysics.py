@@ -169,8 +169,8 @@ def _above_background(electrons: NDArray[np.float64]) -> tuple[NDArray[np.float6
 
     if (dark := dark_level(electrons)) is None:
         raise MufasaError(
-            "the traces hold their background, and too few molecules go dark to tell how much of them it is: give "
-            "traces whose background was taken off (background_subtracted=True), or longer ones"
+            "the traces hold their background, and too few molecules go dark, or to no common level, to tell how much "
+            "of them it is: give traces whose background was taken off (background_subtracted=True), or longer ones"
         )
     return (
         electrons - dark,
