@@ -306,6 +306,37 @@ def test_the_best_are_compared_with_the_best(best):
     assert found.w1["mufasa"] < 1.5 * found.w1["floor"]
 
 
+def test_the_best_of_few_simulated_ones_is_one_at_least():
+    """A third of a trace was none: no W1, and a note that no trace is active in a window that nobody gave."""
+    model, traces = holding_their_background(10.0, 1.5, n=300)
+    found = compare_traces(
+        traces, model, background_subtracted=False, best=1, n_simulated=100, fit=False, n_bootstrap=2
+    )
+    assert all(found.w1[name] > 0 for name in ("mufasa", "poisson", "sofi"))
+    assert any(note.startswith("mufasa: W1 rests on 1 trace;") for note in found.notes)
+    assert not any("no active trace" in note for note in found.notes)
+
+
+def test_light_of_all_samples_is_told_above_a_background_of_one_kind(monkeypatch):
+    """That believed, where the measured traces do not tell theirs; where they do and the model's do not, it is said."""
+    dark, steady = (holding_their_background(10.0, rate) for rate in (1.5, 1e-3))
+    held, asked = comparison.background_held, []
+
+    def watched(traces, believed_e, own):
+        asked.append(own)
+        return held(traces, believed_e, own)
+
+    monkeypatch.setattr(comparison, "background_held", watched)
+    given = {"background_subtracted": False, "fit": False, "n_bootstrap": 2}
+    found = compare_traces(steady[1], dark[0], **given)
+    assert asked == [True, False, False, False] and len(found.notes) == 1
+    asked.clear()
+    found = compare_traces(dark[1], steady[0], **given)
+    assert asked == [True] * 4
+    assert [note.split(",")[0] for note in found.notes] == ["mufasa: too few molecules go dark"]
+    assert not compare_traces(dark[1], dark[0], **given).notes
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_where_hardly_a_molecule_bleaches_light_and_background_stay_themselves(seed):
     """Their mean is the same in every frame: it could be all background or all light. Brightness 0.0 to 2.9 was fitted,

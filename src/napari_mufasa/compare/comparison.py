@@ -39,6 +39,7 @@ FIT_FAILED = (
     "fitting brightness, background and bleaching does not bring this model nearer: their means are those of the "
     "measurement, the law is not, or the molecules are too few"
 )
+FEW_TRACES = 5  # W1 of fewer is told to rest on few
 ENOUGH_MOLECULES, MOST_MOVIES = 600, 4  # simulated behind a W1 and a fit; movies made to get there
 
 
@@ -232,30 +233,31 @@ def compare_traces(
     steps = _Steps(progress, 5 if fit else 4, cancel)
     field = FarApart(model.sigma_px, n, options, seed, pixel_share)
     weight = 1.0 if field.one_pixel else background_weight(model.sigma_px, options)
-    notes: tuple[str, ...] = ()
-    share = 1.0
 
-    def measured_like(values: NDArray[np.floating], believed: Model = model, gain: float = 1.0) -> Sample:
-        """Each by its own background, found in the same way."""
-        nonlocal notes, share
-        pedestal_e, note = 0.0, ""
-        if not background_subtracted:
-            pedestal_e, note = background_held(values, gain * weight * background_level_e(believed))
-        found = _cut(values, pedestal_e, window)
-        if values is electrons:
-            notes = (note,) if note else ()
-            share = min(1.0, (best or np.inf) / max(len(found.traces), 1))
-        return found if share == 1 else _best(found, pedestal_e, round(share * len(found.traces)))
+    def background_of(traces_e: NDArray[np.floating], believed_e: float, own: bool = True) -> tuple[float, str]:
+        return (0.0, "") if background_subtracted else background_held(traces_e, believed_e, own)
+
+    believed_e = weight * background_level_e(model)
+    pedestal_e, note = background_of(electrons, believed_e)
+    seen, own = _cut(electrons, pedestal_e, window), not note
+    if len(seen.traces) == 0:
+        raise MufasaError(f"no trace is active in the {window} frames before bleaching: choose a smaller window")
+    share = min(1.0, (best or np.inf) / len(seen.traces))
+    samples = {"measured": _best(seen, pedestal_e, share)}
+    notes = [note] if note else []
+
+    def like_measured(traces_e: NDArray[np.floating], believed_e: float) -> tuple[Sample, str]:
+        """Cut and chosen as the measured ones, above a background told as theirs; and a note where it cannot be."""
+        pedestal_e, note = background_of(traces_e, believed_e, own)
+        return _best(_cut(traces_e, pedestal_e, window), pedestal_e, share), note if own else ""
 
     def simulate(candidate: Model) -> NDArray[np.float32]:
         return field.traces(field.acquisition(candidate, seed), cancel)
 
-    samples = {"measured": measured_like(electrons)}
-    if len(samples["measured"].traces) == 0:
-        raise MufasaError(f"no trace is active in the {window} frames before bleaching: choose a smaller window")
     steps.done()
     for name, acquisition in field.acquisitions(model, seed, sofi_times).items():
-        samples[name] = measured_like(field.traces(acquisition, cancel))
+        samples[name], note = like_measured(field.traces(acquisition, cancel), believed_e)
+        notes += [f"{name}: {note}"] if note and name == "mufasa" else []  # the others may never be dark by their law
         steps.done()
     fitted = None
     if fit:
@@ -272,10 +274,12 @@ def compare_traces(
         # Another seed than the fit used: the fit must not profit from its own chance. A fitted gain changes
         # what a photoelectron is worth in ADU; all samples stay in the unit of the model as given.
         again = field.acquisition(fitted.model, seed + 10)
-        samples["fitted"] = measured_like(gain * field.traces(again, cancel), fitted.model, gain)
+        fitted_e = gain * weight * background_level_e(fitted.model)
+        samples["fitted"], note = like_measured(gain * field.traces(again, cancel), fitted_e)
+        notes += [f"fitted: {note}"] if note else []
         steps.done()
-    notes += tuple(f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0)
-    return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, notes)
+    notes += [f"{name}: no active trace in the window" for name, s in samples.items() if len(s.traces) == 0]
+    return _compare(samples, model, "photoelectrons", seed, n_bootstrap, fitted, None, tuple(notes))
 
 
 class Described(NamedTuple):
@@ -364,8 +368,11 @@ def _cut(values: NDArray[np.floating], pedestal_e: float, window: int | None) ->
     return _sample(np.array([values[i, start[i] : start[i] + window] for i in rows]).reshape(-1, window), pedestal_e)
 
 
-def _best(sample: Sample, pedestal_e: float, n: int) -> Sample:
-    """The `n` of highest SNR, by what the window shows, not by what came before it."""
+def _best(sample: Sample, pedestal_e: float, share: float) -> Sample:
+    """That share of highest SNR, of any one at least, by what the window shows, not by what came before it."""
+    if share == 1:
+        return sample
+    n = max(1, round(share * len(sample.traces)))
     return _sample(sample.traces[np.argsort(-sample.dynamics.snr, kind="stable")[:n]], pedestal_e)
 
 
@@ -392,6 +399,11 @@ def _compare(
     w1_traces |= {"floor": floor(real, rows="traces", n_splits=20, rng=rng).value, "unit": f"{unit}, whole traces"}
     shown = {name: s for name, s in samples.items() if len(s.traces)}
     curves = distributions(shown, unit, model.acquisition.interval_s)
+    notes += tuple(
+        f"{name}: W1 rests on {checks.counted(len(s.traces), 'trace')}; give more (a larger best, n_simulated or movie)"
+        for name, s in samples.items()
+        if 0 < len(s.traces) < FEW_TRACES
+    )
     notes = notes if fitted is None else (*notes, *fitted.notes)
     found = Comparison(w1, w1_traces, interval, bottom, samples, curves, model, fitted, measured, notes)
     if fitted is not None and found.nearer == "mufasa":

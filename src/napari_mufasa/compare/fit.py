@@ -137,10 +137,10 @@ def _with_fading(model: Model, constant_e: float, fading_e: float, rate: float, 
     return model.with_effects(effect_from_data(effect))
 
 
-def background_held(traces: NDArray[np.floating], believed_e: float) -> tuple[float, str]:
+def background_held(traces: NDArray[np.floating], believed_e: float, own: bool = True) -> tuple[float, str]:
     """Photoelectrons per frame that traces (molecule, frame) hold beside their molecules' light: what they fall to, or,
-    where too few go dark, what is believed, and a note that says so."""
-    if (dark := dark_level(traces)) is not None:
+    where too few go dark or without `own`, what is believed, and a note that says so."""
+    if own and (dark := dark_level(traces)) is not None:
         return dark, ""
     dimmest = float(np.min(np.mean(traces, axis=1), initial=np.inf))
     taken = f"{believed_e:.4g} photoelectrons per frame as the model has it"
