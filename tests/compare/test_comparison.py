@@ -353,6 +353,16 @@ def test_where_hardly_a_molecule_bleaches_light_and_background_stay_themselves(s
     assert found.w1["fitted"] < 3 * found.w1["floor"]
 
 
+def test_what_varies_slowly_in_the_measurement_is_found_once(monkeypatch):
+    from napari_mufasa.compare import fit
+
+    model, traces = holding_their_background(10.0, 1.5)
+    slow, of = fit._slow_variances, []
+    monkeypatch.setattr(fit, "_slow_variances", lambda values: of.append(values) or slow(values))
+    fit.fit_raw_traces(traces, model, lambda candidate: traces, rounds=3)
+    assert len(of) == 1 + 3
+
+
 def test_a_bleaching_that_no_molecule_tells_is_the_model_s():
     """Three of 40 that bleach tell the rate, two its limit, and traces that never shine tell nothing."""
     model = nm.Model.from_dict(generator.base_model("cmos")).with_values({"acquisition.n_frames": 50})

@@ -109,13 +109,11 @@ def test_what_a_tiff_holds_hangs_on_the_unit_that_was_given(tmp_path):
     """Counts as decimals are counts all the same: as recorded, one pixel with its background."""
     import tifffile
 
-    from napari_mufasa.cli.measuring import trace_table
-
     tifffile.imwrite(tmp_path / "a.tif", np.ones((20, 3), np.float32))
-    table = trace_table(tmp_path / "a.tif", "adu", None, None)
-    assert (table["unit"], table["profile"], table["background_subtracted"]) == ("adu", "brightest_pixel", False)
-    table = trace_table(tmp_path / "a.tif", None, None, None)
-    assert (table["unit"], table["profile"], table["background_subtracted"]) == ("photoelectrons", "psf", True)
+    table = read_trace_file(tmp_path / "a.tif", unit="adu")
+    assert (table.unit, table.profile, table.background_subtracted) == ("adu", "brightest_pixel", False)
+    table = read_trace_file(tmp_path / "a.tif")
+    assert (table.unit, table.profile, table.background_subtracted) == ("photoelectrons", "psf", True)
 
 
 def test_fret_traces(tmp_path):

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from napari_mufasa.cli import console
-from napari_mufasa.cli.measuring import trace_table
 from napari_mufasa.cli.options import CameraName, DarkFile, ModelFile, MovieFile, Overwrite, TraceProfile, TraceUnit
 
 if TYPE_CHECKING:
@@ -140,6 +139,7 @@ def infer(
     overwrite: Overwrite = False,
 ) -> None:
     """Infer brightness, bleaching, dark state and activation from traces, and say what cannot be told apart."""
+    from napari_mufasa.files.traces import read_trace_file
     from napari_mufasa.infer import infer_photophysics
     from napari_mufasa.model.model import Model
     from napari_mufasa.traces.extract import held_share
@@ -149,14 +149,10 @@ def infer(
         if path is not None:
             console.check_file_out(path, overwrite)
             console.check_not_read(path, traces, model)
-    table = trace_table(traces, unit, profile, None)
-    believed = Model.from_json(model)
-    share = held_share(table["profile"], believed.sigma_px)
+    table, believed = read_trace_file(traces, unit=unit), Model.from_json(model)
+    share = None if profile is None else held_share(profile, believed.sigma_px)  # else as the file says
     with console.working("inferring") as work:
-        found = infer_photophysics(
-            table["traces"], believed, unit=table["unit"], background_subtracted=table["background_subtracted"],
-            pixel_share=share, all_molecules=all_molecules, **work.both(),
-        )  # fmt: skip
+        found = infer_photophysics(table, believed, pixel_share=share, all_molecules=all_molecules, **work.both())
     typer.echo(f"{traces}: {found.n_molecules} molecules")
     console.tell_origin(_written(found, "inferred", out, report), believed, (traces, model))
     typer.echo(f"{out}: the model with what was inferred")

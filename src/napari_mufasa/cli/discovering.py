@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from napari_mufasa.cli import console
-from napari_mufasa.cli.measuring import trace_table
 from napari_mufasa.cli.options import (
     Budget,
     Channel,
@@ -73,6 +72,7 @@ def diagnose(
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
     from napari_mufasa import discover
+    from napari_mufasa.files.traces import read_trace_file
     from napari_mufasa.model.model import Model
 
     console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark, check)
@@ -86,11 +86,14 @@ def diagnose(
             raise MufasaError("--dark belongs to a movie; traces have their background taken off or not: drop it")
         if channel is not None:
             raise MufasaError("--channel belongs to a movie: drop it for a table of traces")
-        table = trace_table(movie, unit, profile, with_background)
+        table = read_trace_file(movie, unit=unit)
+        without = None if with_background is None else not with_background
         with console.working("diagnosing", scheduler) as work:
-            report = discover.diagnose_traces(**table, model=believed, seed=seed, budget=budget, **work.all())
-        subtitle = "{}: {} traces of {} frames".format(movie.name, *table["traces"].shape)
-        _finish(out, report, table["traces"], subtitle, [movie, model])
+            report = discover.diagnose_traces(
+                table, believed, profile=profile, background_subtracted=without, seed=seed, budget=budget, **work.all()
+            )
+        subtitle = "{}: {} traces of {} frames".format(movie.name, *table.traces.shape)
+        _finish(out, report, table.traces, subtitle, [movie, model])
         return
     for name, given in (("--unit", unit), ("--profile", profile), ("--with-background", with_background)):
         if given is not None:

@@ -41,7 +41,6 @@ from napari_mufasa.cli.options import (
     TraceBackground,
     TraceProfile,
     TraceUnit,
-    UnitName,
     Window,
 )
 from napari_mufasa.errors import MufasaError
@@ -256,9 +255,12 @@ def compare(
                 profile=profile or "psf", subtract_background=not with_background, **shared, **work.both(),
             )  # fmt: skip
     else:
-        table = trace_table(traces or Path(), unit, profile, with_background)
+        table = files.traces.read_trace_file(traces or Path(), unit=unit)
+        without = None if with_background is None else not with_background
         with console.working("comparing") as work:
-            result = comparing.compare_traces(**table, model=believed, **shared, **work.both())
+            result = comparing.compare_traces(
+                table, believed, profile=profile, background_subtracted=without, **shared, **work.both()
+            )
     with console.filling(out, believed, seed, (movie or traces, model, dark)) as folder:
         files.write_json(folder / "report.json", result.report())
         figures.write(folder, figures.comparison_drawings(result))
@@ -280,21 +282,6 @@ def _check_what_is_compared(
         raise MufasaError("--dark belongs to a movie; traces have their background taken off or not: drop it")
     if traces is not None and (max_steps is not None or drift):
         raise MufasaError("--max-steps and --follow-drift choose molecules in a movie; give one, or drop them")
-
-
-def trace_table(
-    path: Path, unit: UnitName | None, profile: ProfileName | None, with_background: bool | None
-) -> dict[str, Any]:
-    """The traces of a file and what they hold, as keywords: what was said, else as the file is usually made."""
-    from napari_mufasa.files import traces as trace_files
-
-    found = trace_files.read_trace_file(path, unit=unit)
-    return {
-        "traces": found.traces,
-        "unit": found.unit,
-        "profile": profile or found.profile,
-        "background_subtracted": found.background_subtracted if with_background is None else not with_background,
-    }
 
 
 VERBS = (denoise, traces, compare)

@@ -99,7 +99,7 @@ def fit_raw_traces(
     fitted = _with_background(model, b / weight, values)
     fitted = _with_bleaching(fitted, k / (n_frames * model.acquisition.interval_s), values)
     notes = _bleaching_rate(measured - b, model)[1]
-    remaining = float(np.mean(np.exp(-k * t)))
+    remaining, slow = float(np.mean(np.exp(-k * t))), _slow_variances(measured)
     for i in range(rounds + 1):
         made: NDArray[np.float64] = np.asarray(simulate(fitted), dtype=np.float64)
         per_molecule = float(made.mean() - weight * background_level_e(fitted) * _mean_background(fitted)) / remaining
@@ -108,7 +108,7 @@ def fit_raw_traces(
             continue
         wanted = a
         if i > 0:  # the first round only brings the brightness to A
-            slow, slow_made = _slow_variances(measured), _slow_variances(made)
+            slow_made = _slow_variances(made)
             missing = _beyond_chance(slow, slow_made)
             wanted = min(a, per_molecule * float(np.sqrt(max(1 + missing / max(slow_made.mean(), 1e-9), 0.01))))
             if wanted == a and missing > 0:
