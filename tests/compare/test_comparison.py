@@ -27,7 +27,8 @@ from napari_mufasa.compare.fit import Fit
 from napari_mufasa.effects import effect_class
 from napari_mufasa.files.traces import read_traces
 from napari_mufasa.files.whole import write_json
-from napari_mufasa.traces.dynamics import dark_level, dynamics
+from napari_mufasa.traces.darkness import dark_level
+from napari_mufasa.traces.dynamics import dynamics
 from napari_mufasa.traces.extract import held_share
 
 MODELS = Path(__file__).resolve().parents[2] / "docs" / "models"

@@ -10,7 +10,7 @@ from napari_mufasa.compare.simulated import FarApart
 from napari_mufasa.effects import effect_class
 from napari_mufasa.infer.photophysics import infer_photophysics
 from napari_mufasa.traces import Options
-from napari_mufasa.traces.dynamics import dark_level
+from napari_mufasa.traces.darkness import dark_level
 
 BACKGROUND_E = 18.0  # of a pixel; a molecule has 53 in its brightest one
 BLEACHING = ("photobleaching", {"rate_per_s": 1.5})  # of movies of a second: 0.78 of the molecules

@@ -21,7 +21,8 @@ from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics.rates import FEW_EVENTS, most_per_s
 from napari_mufasa.traces import TraceSet
 from napari_mufasa.traces.correlation import lagged
-from napari_mufasa.traces.dynamics import Dynamics, dark_level, dynamics
+from napari_mufasa.traces.darkness import dark_level
+from napari_mufasa.traces.dynamics import Dynamics, dynamics
 from napari_mufasa.traces.select import Choice
 
 ROUNDS = 3

@@ -165,7 +165,7 @@ def infer_photophysics(
 
 def _above_background(electrons: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
     """Traces (molecule, frame) without the background that they fall to when their molecules are dark, and a note."""
-    from napari_mufasa.traces.dynamics import dark_level
+    from napari_mufasa.traces.darkness import dark_level
 
     if (dark := dark_level(electrons)) is None:
         raise MufasaError(
