@@ -56,10 +56,11 @@ class Steps(Standing):
             self.stands[-1] = replace(stand, library=library.renewed(stand.library, stand.x))
 
     def take_up(self, groups: Sequence[Sequence[Case]]) -> set[str]:
-        """Fit promising effects into the model together, of each group the one that explains most once it is started.
-        What is chosen while much is still wrong is compared again, beside the effects of the other groups; a group that
-        promises nothing any more beside those before it waits. Returns the kinds that stay out: what comes to next to
-        none, and where all together explain nothing (the step is taken back) all but the first, or an only one."""
+        """Fit promising effects into the model together, of each group the one that explains most once it is started;
+        what is read off as others leave it comes last. What is chosen while much is still wrong is compared again,
+        beside the effects of the other groups; a group that promises nothing any more beside those before it waits.
+        Returns the kinds that stay out: what comes to next to none, and where all together explain nothing (the step
+        is taken back) all but the first, or an only one."""
         stand, state, doubtful = self.stand, self.stand.state, []
         self.bench.plan(sum(len(group) for group in groups) * START + self._settling(len(groups)))
 
