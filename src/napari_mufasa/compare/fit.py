@@ -147,9 +147,8 @@ def background_held(traces: NDArray[np.floating], believed_e: float, own: bool =
     taken = f"{believed_e:.4g} photoelectrons per frame as the model has it"
     if dimmest < believed_e:
         taken = f"{dimmest:.4g} photoelectrons per frame, those of the dimmest trace (the model has {believed_e:.4g})"
-    return min(
-        believed_e, dimmest
-    ), f"too few molecules go dark, or to no common level, to tell the background in the traces: {taken}"
+    note = f"too few molecules go dark, or to no common level, to tell the background in the traces: {taken}"
+    return min(believed_e, dimmest), note
 
 
 def background_level_e(model: Model) -> float:
