@@ -189,6 +189,32 @@ def test_fast_falls_back_to_exact_where_the_separation_fails():
     np.testing.assert_array_equal(fast, simulate_emission(bright(2), 300, seed=13, engine="exact"))
 
 
+def test_only_molecules_too_bright_for_it_leave_the_fast_engine():
+    """In light of 0.2 … 2 of that where k01/k10 is 0.0134: each molecule's photons are those that it has alone, by one
+    engine up to 0.01, by the other beyond."""
+    chain, drive = protocol_chain(bright(0.08)), np.linspace(0.2, 2.0, 40)
+    exposure = Exposure(0.01, 0.0, np.ones(30))
+    with (
+        pytest.warns(UserWarning, match=r"k01/k10 exceeds 0\.01; running the exact engine for the molecules"),
+        pytest.warns(UserWarning, match="all noise of emission is kept"),
+    ):
+        photons, expected = simulate_photons(chain, drive, exposure, Streams(15), "fast", with_expected=True)
+    exact, _ = simulate_photons(chain, drive, exposure, Streams(15), "exact")
+    merged = merge_bright_states(chain)
+    beyond = drive > merged.brightest_light
+    assert 5 < beyond.sum() < 35
+    assert merged.brightest_light == pytest.approx(0.01 * (2e4 + 2e4 / 3000) / (6724.90 * 0.04), rel=1e-4)
+    np.testing.assert_array_equal(photons[beyond], exact[beyond])
+    np.testing.assert_array_equal(expected[beyond], exact[beyond])
+    weak = np.where(beyond, 0.0, drive)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        fast, means = simulate_photons(chain, weak, exposure, Streams(15), "fast", with_expected=True)
+    np.testing.assert_array_equal(photons[~beyond], fast[~beyond])
+    np.testing.assert_array_equal(expected[~beyond], means[~beyond])
+    assert not np.array_equal(photons[~beyond], exact[~beyond])
+
+
 def test_exact_counts_are_sub_poissonian_as_a_renewal_process():
     """Fano factor 1 − 2 k01 k10/(k01+k10)² (docs/photophysics.md): alternating exponential waits."""
     model = bright(2).with_values(
@@ -299,9 +325,9 @@ def test_passing_by_calm_frames_changes_nothing(dead_s, light):
         ),
         {"T1": 1.0},
     )
-    merged, rates = merge_bright_states(blinking, 3.0)
+    merged = merge_bright_states(blinking)
     _, expected = simulate_photons(blinking, drive, exposure, Streams(6), "fast", with_expected=True)
-    lit = frame_by_frame(merged, drive, exposure, Streams(6))[1] @ rates
+    lit = frame_by_frame(merged.chain, drive, exposure, Streams(6))[1] @ merged.photon_rates
     assert 0.1 < np.mean(lit > 0) < 0.9
     np.testing.assert_allclose(expected, drive[:, None] * light * lit, rtol=1e-9, atol=1e-6)
 

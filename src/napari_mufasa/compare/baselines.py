@@ -45,10 +45,10 @@ def two_state_of(model: Model, photons_per_frame: float, chain: Chain | None = N
     good; T_off is the mean time to return. `photons_per_frame` is I_on, see `largest_of_a_trace`.
     """
     chain = chain or protocol_chain(model)
-    merged = merge_bright_states(chain, 0.0)
+    merged = merge_bright_states(chain)
     if isinstance(merged, str):
         return TwoState(np.inf, 0.0, np.inf, photons_per_frame)
-    slow, photon_rate = merged
+    slow, photon_rate = merged.chain, merged.photon_rates
     rate = slow.matrix(driven=True) + slow.matrix(driven=False)
     bright = photon_rate > 0
     occupied = bright * slow.start_vector()

@@ -2,7 +2,8 @@
 
 Both run the same jump kernel. *exact* runs the full chain and counts photons at their jumps. *fast* first
 merges {S0, S1} into one bright state, whose photons are then Poisson given its time in the light; dwell
-times of all slow states stay event by event. The error of the merge is O(k01/k10).
+times of all slow states stay event by event. The error of the merge is O(k01/k10): molecules in so much light that it
+counts run by the exact engine.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ def simulate_photons(
     population : names the molecules' streams where another population has those without a name
     workers : threads that share the molecules; the result does not hang on them
     with_expected : return what was expected, too (8 bytes of a molecule and frame)
-    engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, where k01/k10 > 10⁻², a frame
-        is shorter than 100 lifetimes, or the chain has no single emitting transition
+    engine : "fast" or "exact"; "fast" falls back to "exact", with a warning, for each molecule where k01/k10 > 10⁻²,
+        and for all where a frame is shorter than 100 lifetimes or the chain has no single emitting transition
 
     Returns
     -------
@@ -61,46 +62,76 @@ def simulate_photons(
     """
     if engine not in ("fast", "exact"):
         raise MufasaError(f"engine {engine!r} is unknown: choose 'fast' or 'exact'")
-    rows = len(drive) if with_expected else 0
+    # Zeros that are never written take no memory.
+    photons = np.zeros((drive.size, exposure.light.size), np.int64)
+    expected = np.zeros((drive.size if with_expected else 0, exposure.light.size))
+    exactly = np.ones(drive.size, dtype=bool)
     if engine == "fast":
-        most = drive if exposure.of_each is None else drive * np.max(exposure.of_each, axis=1, initial=0.0)
-        brightest = float(np.max(most, initial=0.0) * np.max(exposure.light, initial=0.0))
-        merged = merge_bright_states(chain, brightest, exposure.exposure_s)
-        if isinstance(merged, str):  # in words that stay the same: told once, however many movies a diagnosis simulates
+        merged = merge_bright_states(chain, exposure.exposure_s)
+        # Words that stay the same are told once, however many movies a diagnosis simulates.
+        if isinstance(merged, str):
             warnings.warn(f"fast engine: {merged}; running the exact engine instead", stacklevel=2)
         else:
-            bright_chain, photon_rates = merged
-            return _emitted(bright_chain, photon_rates, drive, exposure, streams, population, workers, rows)
-    if with_expected:
-        warnings.warn("exact engine: all noise of emission is kept (optics.emission_noise is 1 there)", stacklevel=2)
-    photons, _ = _emitted(chain, np.zeros(len(chain.states)), drive, exposure, streams, population, workers, 0)
-    return photons, photons[:rows].astype(np.float64)
+            most = drive if exposure.of_each is None else drive * np.max(exposure.of_each, axis=1, initial=0.0)
+            exactly = most * np.max(exposure.light, initial=0.0) > merged.brightest_light
+            if exactly.any():
+                bright = f"k01/k10 exceeds {SEPARATION}; running the exact engine for the molecules where it does"
+                warnings.warn(f"fast engine: {bright}", stacklevel=2)
+            slow = np.flatnonzero(~exactly)
+            _emit(
+                merged.chain,
+                merged.photon_rates,
+                slow,
+                drive,
+                exposure,
+                streams,
+                population,
+                workers,
+                expected,
+                photons,
+            )
+    if exactly.any():
+        dark, none = np.zeros(len(chain.states)), np.zeros((0, exposure.light.size))
+        _emit(chain, dark, np.flatnonzero(exactly), drive, exposure, streams, population, workers, none, photons)
+        if with_expected:
+            warnings.warn(
+                "exact engine: all noise of emission is kept (optics.emission_noise is 1 there)", stacklevel=2
+            )
+            expected[exactly] = photons[exactly]
+    return photons, expected
 
 
-def merge_bright_states(
-    chain: Chain, brightest_light: float, exposure_s: float = np.inf
-) -> tuple[Chain, NDArray[np.float64]] | str:
-    """The chain with every {S0, S1} pair merged and each state's photon rate at full light; or why not.
+@dataclass(frozen=True)
+class Merged:
+    """A chain with every {S0, S1} pair merged: each state's photon rate at full light, and the relative light up to
+    which that is near enough."""
+
+    chain: Chain
+    photon_rates: NDArray[np.float64]
+    brightest_light: float
+
+
+def merge_bright_states(chain: Chain, exposure_s: float = np.inf) -> Merged | str:
+    """The chain with its bright states merged, or why it cannot be.
 
     A merged state leaves with rate k01·p, p = k1x/Σk1, and emits with rate k01·k10/(k01+Σk1) (docs/photophysics.md).
     """
     pairs = chain.emitting_pairs()
     if not pairs:
         return "the chain has no emitting transition"
-    merged = chain
+    merged, brightest = chain, np.inf
     photon_rate: dict[str, float] = {}
     for pair in pairs:
         ground, excited = pair
         up = sum(t.rate_per_s for t in chain.transitions if (t.source, t.target) == pair)
         out = [t for t in chain.transitions if t.source == excited]
         leave = sum(t.rate_per_s for t in out)
-        if up * brightest_light > SEPARATION * leave:
-            return f"k01/k10 exceeds {SEPARATION}"
         if exposure_s * leave * SEPARATION < 1:  # photons come late by a lifetime: too late for so short a frame
             return f"a frame holds fewer than {1 / SEPARATION:.0f} lifetimes"
         into = [t for t in chain.transitions if t.target == excited]
         if any(t.driven for t in out) or any(t.source != ground or not t.driven for t in into):
             return "an emitting state is entered or left otherwise than by excitation and spontaneous decay"
+        brightest = min(brightest, SEPARATION * leave / up) if up > 0 else brightest
         cycle = up * leave / (up + leave)  # cycles per second of full light
         photon_rate[ground] = sum(cycle * t.rate_per_s / leave * t.photon_probability for t in out)
         kept = [t for t in merged.transitions if excited not in (t.source, t.target)]
@@ -111,40 +142,37 @@ def merge_bright_states(
         start[ground] = start.get(ground, 0.0) + merged.start.get(excited, 0.0)
         states = tuple(s for s in merged.states if s != excited)
         merged = replace(merged, states=states, transitions=tuple(kept), start=start)
-    return merged, np.array([photon_rate.get(state, 0.0) for state in merged.states])
+    return Merged(merged, np.array([photon_rate.get(state, 0.0) for state in merged.states]), brightest)
 
 
-def _emitted(
+def _emit(
     chain: Chain,
     photon_rates: NDArray[np.float64],
+    which: NDArray[np.intp],
     drive: NDArray[np.float64],
     exposure: Exposure,
     streams: Streams,
     population: str,
     workers: int,
-    kept: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Photons counted at jumps, and those of the time spent in emitting states; with so many rows of what was expected
-    of it (all or none)."""
+    expected: NDArray[np.float64],
+    photons: NDArray[np.int64],
+) -> None:
+    """Photons of the molecules `which`, into their rows of `photons`: counted at jumps, and of the time spent in
+    emitting states; what was expected of that into those of `expected`, where it has rows."""
     from napari_mufasa.photophysics.kernels import emit
 
     drive = np.ascontiguousarray(drive, dtype=np.float64)
     light = np.ascontiguousarray(exposure.light, dtype=np.float64)
     each = np.empty((0, 0), np.float32) if exposure.of_each is None else np.ascontiguousarray(exposure.of_each)
-    # Zeros that are never written take no memory.
-    photons = np.zeros((drive.size, light.size), np.int64)
-    expected = np.zeros((kept, light.size))
     rates = chain.matrix(driven=True), chain.matrix(driven=False), chain.photon_matrix(), photon_rates
     start = np.cumsum(chain.start_vector())
     keys = streams.key(population + "photophysics"), streams.key(population + "emission")
     times = float(exposure.exposure_s), float(exposure.dead_time_s)
 
     def part(rows: slice) -> None:
-        own, means = (each[rows] if each.size else each), (expected[rows] if kept else expected)
-        emit(rates, start, drive[rows], light, own, *times, keys, rows.start, means, photons[rows])
+        emit(rates, start, drive, light, each, *times, keys, which[rows], expected, photons)
 
-    _in_parts(part, drive.size, workers)
-    return photons, expected
+    _in_parts(part, which.size, workers)
 
 
 def _in_parts(work: Callable[[slice], None], n_molecules: int, workers: int) -> None:

@@ -123,10 +123,10 @@ def draw(lit, means, key, molecule, large, tail, counts, photons):  # type: igno
 
 
 @compiled
-def emit(rates, start, drive, light, of_each, exposure_s, dead_s, keys, first, expected, photons):  # type: ignore[no-untyped-def]
-    """Follow molecules `first`, `first` + 1 …, one for each value of `drive`, by the first of `keys`, and draw their
-    photons by the second into `photons` (molecule, frame), zeros; what was expected is kept where `expected` has rows,
-    zeros too."""
+def emit(rates, start, drive, light, of_each, exposure_s, dead_s, keys, which, expected, photons):  # type: ignore[no-untyped-def]
+    """Follow the molecules `which` by the first of `keys`, and draw their photons by the second into `photons`
+    (molecule, frame), zeros; what was expected is kept where `expected` has rows, zeros too. A molecule's row is its
+    number."""
     n_frames = light.size
     own, until, lit = np.empty(n_frames), np.empty(n_frames, np.int64), np.empty(n_frames, np.int64)
     means, large, tail, counts = (
@@ -137,16 +137,16 @@ def emit(rates, start, drive, light, of_each, exposure_s, dead_s, keys, first, e
     )
     left_by = np.stack((rates[0].sum(axis=1), rates[1].sum(axis=1)), axis=1)
     alike(light, until)
-    for m in range(drive.size):
+    for m in which:
         for f in range(n_frames):
             own[f] = drive[m] * light[f]
         if of_each.size > 0:
             for f in range(n_frames):
                 own[f] *= of_each[m, f]
             alike(own, until)
-        named = stream(keys[0], first + m, 0)
+        named = stream(keys[0], m, 0)
         n = follow(rates, left_by, start, own, until, exposure_s, dead_s, named, lit, means, photons[m])
         if expected.size > 0:
             for x in range(n):
                 expected[m, lit[x]] = means[x]
-        draw(lit[:n], means[:n], keys[1], first + m, large, tail, counts, photons[m])
+        draw(lit[:n], means[:n], keys[1], m, large, tail, counts, photons[m])
