@@ -24,8 +24,8 @@ def places(effect=None, seed=3):
     return find_places(measured(simulate(truth, seed=seed).movie, simulate_dark(truth, 30, seed)), BELIEVED, (48, 48))
 
 
-def measured(movie, dark=None, part=None):
-    return SimpleNamespace(movie=movie, dark=dark, model=BELIEVED, part=part or Extent())
+def measured(movie, dark=None, part=None, first_frame=0):
+    return SimpleNamespace(movie=movie, dark=dark, model=BELIEVED, part=part or Extent(), first_frame=first_frame)
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +88,28 @@ def test_a_central_part_knows_where_it_lies():
     assert found.offset_px == (50, 20)
     assert found.molecules["y_px"].between(50, 98).all() and found.molecules["x_px"].between(20, 68).all()
     assert "dark" not in found.maps
+
+
+def test_frames_are_counted_in_the_layer_s_own(viewer):
+    """Four of a layer's frames are left out by the Data step, six more are dark: the brighter one is 4 + 6 + 70."""
+    from napari_mufasa.discover.measurement import prepare
+    from napari_mufasa.widgets.parts.place_layers import PlaceLayers, map_of, simulated_of
+
+    lit = simulate(BELIEVED, seed=3).movie
+    lit[60:80] += 10
+    lit[70] += 30
+    dark = simulate_dark(BELIEVED, 30, 3)
+    looked_at = prepare(np.concatenate([dark[:6], lit]), BELIEVED.in_shape(n_frames=106), dark)
+    assert looked_at.first_frame == 6 and len(looked_at.movie) == 100
+    found = find_places(looked_at, BELIEVED, (48, 48), 4)
+    layer = viewer.add_image(np.zeros((110, 48, 48)), name="movie", scale=(0.5, 1, 1))
+    shown = PlaceLayers(viewer)
+    assert shown.show_place("single_frame_jump", found, layer).startswith("Frame 80 is farthest off")
+    assert viewer.dims.point[0] == 40
+    assert simulated_of(found, layer, "simulated").translate[0] == 5
+    # The middle of the first of five stretches of twenty frames, of those from 10.
+    assert map_of("course", found, layer).translate[0] == pytest.approx((10 + 9.5) * 0.5)
+    assert "frames 70 … 89 are farthest off" in shown.show_place("ensemble", found, layer)
 
 
 def test_cancel_stops_it():

@@ -29,7 +29,8 @@ ALL_OVER = 0.5  # … if it comes on all over the field: so much of its mean in 
 @dataclass(frozen=True)
 class Measurement:
     """movie (frame, y, x) and dark (frame, y, x) or None, both uint16 ADU; the model in the movie's own shape; which
-    part they are of the whole, and the shape of that: the lit frames, y, x."""
+    part they are of the whole, and the shape of that: the lit frames, y, x; `first_frame` is the first of these in
+    the movie given."""
 
     movie: NDArray[np.uint16]
     dark: NDArray[np.uint16] | None
@@ -37,6 +38,7 @@ class Measurement:
     notes: tuple[str, ...]
     part: Extent
     whole: tuple[int, int, int]
+    first_frame: int
 
 
 def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
@@ -60,7 +62,7 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
     region = (slice(0, frames), rows, columns)
     data = _counts(np.asarray(movie[region]), "movie", model)
     Frames(data, model.in_shape(maps=None).camera).check_light()
-    dark_data, level_adu, share = None, model.camera.baseline_adu, UNLIT
+    dark_data, begin, level_adu, share = None, 0, model.camera.baseline_adu, UNLIT
     if dark is not None:
         dark = checks.dark_stack(dark, shape[1:])
         if (n_dark := int(dark.shape[0])) < LEAST_DARK:
@@ -71,8 +73,9 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         level_adu, share = float(dark_data.mean()), DIM
     first, stop = _lit(data, level_adu, share)
     first = first if dark_data is not None or first >= LEAST_DARK else 0
-    begin = first + first % 2  # an even frame: the baseline of odd ones may differ
-    if (first, stop) != (0, frames) and stop - begin >= LEAST_FRAMES:
+    lit = first + first % 2  # an even frame: the baseline of odd ones may differ
+    if (first, stop) != (0, frames) and stop - lit >= LEAST_FRAMES:
+        begin = lit
         if first:
             used = "left out" if dark_data is not None else "taken as dark frames, the others as the movie"
             notes.append(f"Frames 0 to {first - 1} are dark: they are {used}.")
@@ -84,7 +87,7 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         region = (slice(0, len(data)), rows, columns)
     whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
     here = whole.in_shape(region=region).with_values({"sample.layout": "random"})
-    return Measurement(data, dark_data, here, tuple(notes), Extent.of(region, shape), shape)
+    return Measurement(data, dark_data, here, tuple(notes), Extent.of(region, shape), shape, begin)
 
 
 def cropped(model: Model) -> Model:

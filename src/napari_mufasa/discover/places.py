@@ -67,7 +67,8 @@ class Places:
     ----------
     maps : name → (y, x), "course" (bin, y, x); frames : (frame,) mean of each frame
     molecules : table with y_px, x_px and one column per molecule number
-    offset_px : (y, x) of the maps' first pixel in the movie; n_frames : frames looked at
+    offset_px : (y, x) of the maps' first pixel in the movie; first_frame : their first frame in it
+    n_frames : frames looked at
     simulated : (frame, y, x) a movie of the model, its molecules at the measured places; model : what it shows
     """
 
@@ -75,6 +76,7 @@ class Places:
     frames: NDArray[np.float64]
     molecules: pd.DataFrame
     offset_px: tuple[int, int]
+    first_frame: int
     n_frames: int
     simulated: NDArray[np.uint16]
     model: Model
@@ -87,7 +89,7 @@ def place_of(observable: str) -> str:
 
 
 def find_places(
-    measurement: Any, model: Model, shape_px: tuple[int, int], *, seed: int = 1,
+    measurement: Any, model: Model, shape_px: tuple[int, int], first_frame: int = 0, *, seed: int = 1,
     progress: Progress | None = None, cancel: Cancel | None = None,
 ) -> Places:  # fmt: skip
     """Compare a measurement with a few movies of `model`.
@@ -95,8 +97,9 @@ def find_places(
     Parameters
     ----------
     measurement : has movie (frame, y, x) and dark (frame, y, x) or None, ADU, part, which says what part of the whole
-        they are, and model, whose camera maps have the movie's shape
-    model : the model judged; shape_px : (height, width) of the whole field
+        they are, first_frame in it, and model, whose camera maps have the movie's shape
+    model : the model judged; shape_px : (height, width) of the whole field; first_frame : of a longer movie, from which
+        the whole begins
     progress, cancel : see `simulate`
     """
     from napari_mufasa.errors import Cancelled
@@ -136,7 +139,8 @@ def find_places(
     table.insert(1, "x_px", positions[:, 1] + offset[1])
     frames = z.pop("frames")
     maps = {name: values.astype(np.float32) for name, values in z.items()}
-    return Places(maps, np.asarray(frames, float), table, offset, len(movie), simulated, model)
+    first = first_frame + measurement.first_frame
+    return Places(maps, np.asarray(frames, float), table, offset, first, len(movie), simulated, model)
 
 
 def _maps(movie: NDArray[Any], dark: NDArray[Any] | None) -> dict[str, NDArray[np.float64]]:

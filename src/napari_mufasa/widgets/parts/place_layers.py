@@ -18,9 +18,9 @@ SD_SHOWN = 6.0  # the colours' ends
 GAP_PX = 4
 
 
-def map_of(name: str, places: Places, movie: Image, first_frame: int = 0) -> Image:
+def map_of(name: str, places: Places, movie: Image) -> Image:
     """The misfit by place as an image on top of the movie, one for all frames or one for each stretch of them."""
-    z, space = _stretches(places.maps[name]), space_of(movie, first_frame)
+    z, space = _stretches(places.maps[name]), space_of(movie, places.first_frame)
     long, (step, *pixel), start = places.n_frames / len(z), space["scale"], space["translate"][0]
     return Image(
         z, name=f"where: {WORDS[name]}", scale=(long * step, *pixel), units=space["units"],
@@ -41,9 +41,9 @@ def molecules_of(number: str, places: Places, movie: Image) -> Points:
     )  # fmt: skip
 
 
-def simulated_of(places: Places, movie: Image, name: str, first_frame: int = 0, more: Any = None) -> Image:
+def simulated_of(places: Places, movie: Image, name: str, more: Any = None) -> Image:
     """The model's movie to the right of the measured one, at the same height and in the same contrast."""
-    space, (y, x) = space_of(movie, first_frame), _at(places, movie)
+    space, (y, x) = space_of(movie, places.first_frame), _at(places, movie)
     right = (movie.data.shape[-1] + GAP_PX) * movie.scale[-1]
     space["translate"] = (*space["translate"][:-2], y, x + right)
     return movie_layer(
@@ -80,7 +80,7 @@ class PlaceLayers(OwnLayers):
             if (layer := self.get(name)) is not None:
                 layer.visible = False
 
-    def show_place(self, observable: str, places: Places, movie: Image, first_frame: int = 0) -> str:
+    def show_place(self, observable: str, places: Places, movie: Image) -> str:
         """Show the place of an observable on top of `movie`; says in words what is shown."""
         self.hide_place()
         kind, _, number = place_of(observable).partition(":")
@@ -91,24 +91,25 @@ class PlaceLayers(OwnLayers):
             return molecules_line(f"where: {MOLECULE_WORDS[number]}", places.molecules, number)
         if kind == "frames":
             worst = int(np.argmax(np.abs(places.frames)))
-            self._go_to(worst + first_frame, movie)
-            return f"Frame {worst + first_frame} is farthest off: {places.frames[worst]:+.1f} sd in its mean."
-        return self._show_map(kind, places, movie, first_frame) if kind in places.maps else ""
+            frame = worst + places.first_frame
+            self._go_to(frame, movie)
+            return f"Frame {frame} is farthest off: {places.frames[worst]:+.1f} sd in its mean."
+        return self._show_map(kind, places, movie) if kind in places.maps else ""
 
-    def show_simulated(self, places: Places, movie: Image, first_frame: int, name: str) -> None:
+    def show_simulated(self, places: Places, movie: Image, name: str) -> None:
         """The model's movie beside the measured one."""
-        if self.show("simulated", simulated_of(places, movie, name, first_frame), movie):
+        if self.show("simulated", simulated_of(places, movie, name), movie):
             self.viewer.reset_view()
 
-    def _show_map(self, name: str, places: Places, movie: Image, first_frame: int) -> str:
-        new = map_of(name, places, movie, first_frame)
+    def _show_map(self, name: str, places: Places, movie: Image) -> str:
+        new = map_of(name, places, movie)
         self.show("map", new, movie, at=self.viewer.layers.index(movie) + 1)  # below the molecules
         z, frames = _stretches(places.maps[name]), ""
         if len(z) > 1:
             long, worst = places.n_frames / len(z), int(np.argmax(np.square(z).mean(axis=(1, 2))))
-            start, stop = round(worst * long), round((worst + 1) * long) - 1
-            frames = f"; frames {start + first_frame} … {stop + first_frame} are farthest off"
-            self._go_to((start + stop) // 2 + first_frame, movie)
+            start, stop = (places.first_frame + round(k * long) for k in (worst, worst + 1))
+            frames = f"; frames {start} … {stop - 1} are farthest off"
+            self._go_to((start + stop - 1) // 2, movie)
         return map_line(new.name, z, frames)
 
     def _go_to(self, frame: int, movie: Image) -> None:

@@ -79,11 +79,10 @@ def discover(
             investigation.examine()
             investigation.rank()
             report = investigation.report()
-        places = _places(investigation.measurement, report, measurement.movie.shape[1:], seed)
+        places = _places(investigation.measurement, report, measurement, seed)
     found = {"report": report, "places": places, "investigation": investigation, "helm": helm}
-    name, first = _name(movie.name, report), measurement.first_frame
-    layers: list[Layer] = [simulated_of(places, movie, name, first, found | {"measurement": measurement})]
-    layers.append(map_of("light", places, movie, first))
+    name, more = _name(movie.name, report), found | {"measurement": measurement}
+    layers: list[Layer] = [simulated_of(places, movie, name, more), map_of("light", places, movie)]
     if len(places.molecules):
         layers.append(molecules_of("brightness", places, movie))
     return layers
@@ -168,7 +167,7 @@ class DiscoverPanel(Panel):
         if not self._examined:
             raise MufasaError("nothing was examined yet: press 'Look for what is missing' first")
         investigation, helm, measurement = (self._examined[name] for name in ("investigation", "helm", "measurement"))
-        seed, shape_px = self.form.seed.value, measurement.movie.shape[1:]
+        seed = self.form.seed.value
 
         def work() -> Any:
             with helm:
@@ -177,7 +176,7 @@ class DiscoverPanel(Panel):
                     change(investigation)
                     investigation.rank()
                     report = investigation.report()
-                    return report, _places(investigation.measurement, report, shape_px, seed)
+                    return report, _places(investigation.measurement, report, measurement, seed)
                 except BaseException:
                     if len(investigation.stands) > n:  # stopped half-way: as if it had not been pressed
                         investigation.undo()
@@ -285,12 +284,12 @@ class DiscoverPanel(Panel):
         self.what.undo_button.setEnabled(free and len(self._steps) > 1)
         self.export_button.setEnabled(bool(self._steps))
 
-    def _placed(self) -> "tuple[Places, Any, int] | None":
-        """The places, the layer that was examined, if it is still there and chosen, and its frame that came first."""
+    def _placed(self) -> "tuple[Places, Any] | None":
+        """The places, and the layer that was examined, if it is still there and chosen."""
         layer, places = self.session.movie_layer, self._steps[-1][1] if self._steps else None
         if not self._examined or places is None or layer is None or layer is not self._examined["layer"]():
             return None
-        return places, layer, self._examined["measurement"].first_frame
+        return places, layer
 
     def _show_place(self, *_: Any) -> None:
         """The place in the image of the observable that is chosen."""
@@ -322,12 +321,14 @@ class DiscoverPanel(Panel):
         return f"report.json, model.json and observables.csv in {folder}"
 
 
-def _places(measurement: Any, report: "Report", shape_px: Any, seed: int) -> "Places":
-    """Where the model as it stands fails: the base model until an effect was added."""
+def _places(looked_at: Any, report: "Report", measurement: Any, seed: int) -> "Places":
+    """Where the model as it stands fails: the base model until an effect was added. Of the layer's frames `measurement`
+    holds those that were recorded with light, by the Data step; of them a diagnosis may look at fewer yet."""
     from napari_mufasa.discover.places import find_places
 
     model = report.model if report.chosen else report.base
-    return find_places(measurement, model, tuple(shape_px), seed=seed, cancel=steering()[1])
+    shape_px, first = measurement.movie.shape[1:], measurement.first_frame
+    return find_places(looked_at, model, tuple(shape_px), first, seed=seed, cancel=steering()[1])
 
 
 def _name(movie: str, report: "Report") -> str:
