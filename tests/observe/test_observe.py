@@ -7,14 +7,22 @@ import numpy as np
 import pytest
 
 import napari_mufasa as nm
-from napari_mufasa.discover.read_off import averaged, background_beyond, in_scale_of, read_off, relief_beyond
+from napari_mufasa.discover.read_off import (
+    averaged,
+    background_beyond,
+    bright_side,
+    in_scale_of,
+    read_off,
+    relief_beyond,
+)
 from napari_mufasa.effects.camera import BaselineDrift
 from napari_mufasa.effects.illumination import IlluminationProfile, LaserDrift
 from napari_mufasa.effects.motion import StageDrift
 from napari_mufasa.effects.optics import Astigmatism, BackgroundDecay, BackgroundGradient
 from napari_mufasa.effects.photophysics import BrightnessHeterogeneity, MultipleEmitters
 from napari_mufasa.observe import PARTS, _near_spots, checkerboard, observe
-from napari_mufasa.observe.field import map_at
+from napari_mufasa.observe.field import _correlation, _line_pattern, _map, map_at
+from napari_mufasa.observe.kernels import line_noise
 from napari_mufasa.observe.summary import (
     HIGHEST,
     Background,
@@ -432,6 +440,34 @@ def test_a_spot_on_the_edge_is_no_background():
     spots = observe(nm.simulate(model, places, seed=5).movie, model).spots
     near = _near_spots((96, 96), spots, 5.0)
     assert near[95, 40] and near[92, 40] and near[30, 0] and not near[60, 20]
+
+
+def test_a_crowded_field_has_its_farthest_pixels_for_a_background():
+    y, x = np.indices((48, 48))
+    for apart, kept in ((24, None), (6, 0.1)):  # px; of circles of 6 px a quarter of the field is left, or nothing
+        positions = np.argwhere((y % apart == 0) & (x % apart == 0))
+        near = _near_spots((48, 48), SimpleNamespace(positions_px=positions, path_px=np.zeros((1, 2))), 6.0)
+        distance = np.min(np.hypot(y[..., None] - positions[:, 0], x[..., None] - positions[:, 1]), axis=-1)
+        if kept is None:
+            np.testing.assert_array_equal(near, distance < 6)
+        else:
+            assert kept <= np.mean(~near) < 0.3 and distance[~near].min() >= distance[near].max()
+
+
+def test_what_too_few_pixels_show_is_not_told():
+    """A part whose background has no line of four pixels, and fewer than six tiles: no number stands in for it."""
+    assert np.isnan(line_noise(np.ones((2, 9, 3)), np.array([0, 1]), np.array([3, 0, 2])))
+    few = np.zeros((8, 8), dtype=bool)
+    few[::4, ::4] = True
+    assert np.isnan(_line_pattern(np.ones((8, 8)), few, 0))
+    assert np.isnan(_correlation(np.ones((8, 8)), np.ones((8, 8)), np.flatnonzero(few)))
+    table, tiles = Table(), np.full((3, 3), np.nan)
+    tiles[0] = 8.0
+    _map(table, tiles, (24, 24))
+    assert np.isnan(list(table.values.values())).all()
+    seen = observe(nm.simulate(small(), seed=1).movie, small())
+    blank = np.where(np.char.startswith(seen.names, "background_map"), np.nan, seen.values)
+    assert bright_side(replace(seen, values=blank)) == {}
 
 
 def test_a_spot_that_leaves_the_field_is_measured_as_far_as_it_goes():

@@ -109,10 +109,10 @@ def uneven_background(observation: Observation) -> dict[str, Any]:
 
 
 def bright_side(observation: Observation) -> dict[str, float]:
-    """`direction_deg` as the background's tilt shows it."""
+    """`direction_deg` as the background's tilt shows it, if there is a map of it."""
     seen = dict(zip(observation.names, observation.part("all"), strict=True))
     tilt = np.arctan2(seen["background_map_tilt_y"], seen["background_map_tilt_x"])
-    return {"direction_deg": float(np.rad2deg(tilt) % 360)}
+    return {"direction_deg": float(np.rad2deg(tilt) % 360)} if np.isfinite(tilt) else {}
 
 
 def relief(observation: Observation, without_noise: Callable[[Array], Array]) -> dict[str, Any]:

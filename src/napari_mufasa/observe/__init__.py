@@ -27,6 +27,8 @@ PARTS = ("all", "white", "black")
 PART_LABELS = ((1, 2), (1,), (2,))
 TILES = 6  # the field is a checkerboard of about TILES × TILES tiles: each half tests what the other was fitted to
 
+LEAST_BACKGROUND = 0.1  # of the field: pixels farthest from spots that are never called near
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -167,6 +169,7 @@ def _counts(movie: NDArray[Any]) -> NDArray[np.uint16]:
 
 
 def _near_spots(shape: tuple[int, ...], spots: Spots, reach_px: float) -> NDArray[np.bool_]:
+    """(y, x) where spots are within reach at any time; a crowded field has its farthest pixels for a background."""
     far, last = np.ones(shape, dtype=bool), np.array(shape) - 1
     for step in spots.path_px:
         at = np.rint(spots.positions_px + step).astype(int)
@@ -174,5 +177,6 @@ def _near_spots(shape: tuple[int, ...], spots: Spots, reach_px: float) -> NDArra
         far[tuple(np.clip(at[beside], 0, last).T)] = False
     if far.all():
         return np.zeros(shape, dtype=bool)
-    result: NDArray[np.bool_] = ndimage.distance_transform_edt(far) < reach_px
+    distance_px: NDArray[np.float64] = ndimage.distance_transform_edt(far)
+    result: NDArray[np.bool_] = distance_px < min(reach_px, float(np.quantile(distance_px, 1 - LEAST_BACKGROUND)))
     return result

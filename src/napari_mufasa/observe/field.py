@@ -274,11 +274,12 @@ def map_at(tiles: Array, positions_px: Array) -> Array:
 
 
 def _map(table: Table, tiles: Array, shape_px: tuple[int, ...]) -> None:
-    """Tilt, bow and unevenness of the background, from its tiles, relative to its mean."""
+    """Tilt, bow and unevenness of the background, from its tiles, relative to its mean; NaN where fewer than six show
+    any."""
     height, width = shape_px
     ok = np.isfinite(tiles)
     values = tiles[ok]
-    r2 = sy = sx = rest = 0.0
+    r2 = sy = sx = rest = np.nan
     if len(values) >= 6:
         row, column = np.nonzero(ok)
         half = max(height, width) / 2
@@ -333,15 +334,16 @@ def _smooth(maps: Array) -> Array:
 
 def _correlation(a: Array, b: Array, at: NDArray[np.int64]) -> float:
     if at.size < 10:
-        return 0.0
+        return np.nan
     u, v = (np.clip(x, *quantiles(x, [0.01, 0.99])) for x in (a.take(at), b.take(at)))
     u, v = u - u.mean(), v - v.mean()
     return float((u * v).mean() / max(u.std() * v.std(), 1e-12))
 
 
 def _line_pattern(high: Array, mask: NDArray[np.bool_], axis: int) -> float:
-    """Mean square of line means, each times its number of pixels: equals the pixel variance without a pattern."""
+    """Mean square of line means, each times its number of pixels: equals the pixel variance without a pattern. NaN
+    where no line has four pixels."""
     count = mask.sum(axis=axis)
     ok = count >= 4
     line = (high * mask).sum(axis=axis)[ok] / count[ok]
-    return float((line**2 * count[ok]).mean()) if ok.any() else 0.0
+    return float((line**2 * count[ok]).mean()) if ok.any() else np.nan

@@ -166,11 +166,11 @@ def add_line(counts, before, mine, down):  # type: ignore[no-untyped-def]
 @vectorised
 def line_noise(sums, labels, count):  # type: ignore[no-untyped-def]
     """Variance of line means about frame and line means, each times its number of pixels, of the sums (part, frame,
-    line) of some parts; lines of fewer than four pixels do not count."""
+    line) of some parts; lines of fewer than four pixels do not count: NaN where there are no others."""
     n = sums.shape[1]
     lines = np.flatnonzero(count >= 4)
     if lines.size == 0 or n < 3:
-        return 0.0
+        return np.nan
     means = np.zeros((n, lines.size))
     for t in range(n):
         for part in labels:
