@@ -40,7 +40,7 @@ _EMCCD: Believed = {
 
 
 # Further bases: what differs from the one they start from. Fields are square. Bleaching as in ``emccd_bleach``.
-_FURTHER: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
+_FURTHER: dict[str, tuple[str, dict[str, Any]]] = {
     "cmos_bleach": ("cmos", {"fluorophore": {"cycles_before_bleaching": 2e5}}),
     "ccd_bleach": ("ccd", {"fluorophore": {"cycles_before_bleaching": 8e5}}),
     "emccd_small": ("emccd", {"acquisition": {"shape_px": [64, 64]}}),
@@ -70,7 +70,36 @@ _FURTHER: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
         },
     ),
     "ccd_wide": ("ccd", {"acquisition": {"n_frames": 150, "frame_length_s": 0.04, "shape_px": [160, 160]}}),
+    # Lit for 0.2 s (ten frames) at a time, dark as long; for 0.1 s, then dark for 10 s; once, for 0.3 s.
+    "emccd_blinking": (
+        "emccd",
+        {
+            "protocol": "Blinking",
+            "fluorophore": {"isc_ratio": 3.2e-4, "triplet_decay_rate_per_s": 5.0, "cycles_before_bleaching": 1e6},
+        },
+    ),
+    "emccd_storm": (
+        "emccd",
+        {
+            "protocol": "STORM",
+            "fluorophore": {"isc_ratio": 1.3e-4, "triplet_decay_rate_per_s": 0.1, "cycles_before_bleaching": 1e6},
+            "excitation": {"power_density_w_per_cm2": 150},
+        },
+    ),
+    "emccd_palm": (
+        "emccd",
+        {
+            "protocol": "PALM",
+            "fluorophore": {"cycles_before_bleaching": 1.5e4},
+            "excitation": {"power_density_w_per_cm2": 100, "activation_rate_per_s": 0.2},
+        },
+    ),
 }
+PROTOCOLS = (
+    "emccd_blinking",
+    "emccd_storm",
+    "emccd_palm",
+)  # molecules that are not lit from the start, or not for long
 
 
 def base_model(name: str = "emccd") -> Believed:
@@ -79,7 +108,10 @@ def base_model(name: str = "emccd") -> Believed:
         start, changes = _FURTHER[name]
         model = base_model(start)
         for part, values in changes.items():
-            model[part].update(copy.deepcopy(values))
+            if isinstance(values, dict):
+                model[part].update(copy.deepcopy(values))
+            else:
+                model[part] = values
         return model
     model = copy.deepcopy(_EMCCD)
     if name == "emccd":
@@ -123,6 +155,7 @@ def base_model(name: str = "emccd") -> Believed:
 MOLECULES = {
     "emccd": 50, "emccd_bleach": 50, "emccd_short": 25, "cmos": 50, "ccd": 50, "cmos_bleach": 50, "ccd_bleach": 50,
     "emccd_small": 20, "emccd_dim": 90, "emccd_wide": 400, "cmos_bright": 35, "cmos_dim": 60, "ccd_wide": 140,
+    "emccd_blinking": 60, "emccd_storm": 250, "emccd_palm": 200,
 }  # fmt: skip
 BASE_NAMES = tuple(MOLECULES)
 

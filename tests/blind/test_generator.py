@@ -19,7 +19,7 @@ from tests.spec_example import EFFECTS as CONTRACT
 
 from . import generator as g
 from . import photophysics
-from .bases import excitation_rate_per_s, sigma_px
+from .bases import PROTOCOLS, excitation_rate_per_s, sigma_px
 from .world import SUBSTEPS, World, build
 
 HERE = Path(__file__).parent
@@ -627,6 +627,11 @@ def test_further_bases_have_their_light_and_their_bleaching() -> None:
     assert {g.base_model(name)["camera"]["type"] for name in g.BASE_NAMES} == {"EMCCD", "CCD", "CMOS"}
     sides = [g.base_model(name)["acquisition"]["shape_px"][0] for name in g.BASE_NAMES]
     assert (min(sides), max(sides)) == (64, 256)
+    lit_s, excited_per_s = {}, {name: excitation_rate_per_s(g.base_model(name)) for name in PROTOCOLS}
+    for name, way_out in zip(PROTOCOLS, ("isc_ratio", "isc_ratio", "cycles_before_bleaching"), strict=True):
+        chance = g.base_model(name)["fluorophore"][way_out]
+        lit_s[name] = 1 / (excited_per_s[name] * (chance if way_out == "isc_ratio" else 1 / chance))
+    assert list(lit_s.values()) == pytest.approx([0.2, 0.1, 0.29], rel=0.03)
     g.base_model("cmos_dim")["camera"]["em_gain"] = 3
     assert "em_gain" not in g.base_model("cmos_dim")["camera"]
 
