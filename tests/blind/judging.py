@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from . import forms
-from .bases import base_model
+from .bases import PROTOCOLS, base_model
 
 Row = dict[str, Any]
 AT_FLOOR = 1.25  # floors
@@ -96,8 +96,14 @@ def beside(rows: Sequence[Row]) -> list[Line]:
         _shares("… beside one off the catalogue: wrong names of those given", off, wrong, _chosen),
         *_by_share(rows),
         Line("intervals that cover where another form was chosen", sum(pull.inside for pull in other), len(other)),
-        _count("diagnoses that crashed", rows, lambda row: row["verdict"] == "crash"),
+        _count("diagnoses that crashed", rows, crashed),
     ]  # fmt: skip
+
+
+def lit_from_the_start(rows: Iterable[Row]) -> list[Row]:
+    """The rows of movies for whose molecules the generator's strengths are made: where each is lit but once, or
+    shortly, a drift of the stage or unequal brightness may show nothing."""
+    return [row for row in rows if row["base"] not in PROTOCOLS]
 
 
 # One movie ----------------------------------------------------------------------------------------------------
@@ -140,6 +146,10 @@ def missing_effect(row: Row) -> bool:
 
 def unexplained(row: Row) -> bool:
     return bool(row["verdict"] == "unexplained")
+
+
+def crashed(row: Row) -> bool:
+    return bool(row["verdict"] == "crash")
 
 
 def is_known(row: Row) -> bool:

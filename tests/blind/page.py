@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
 from . import forms, judging
+from .bases import PROTOCOLS
 from .cases import PLAN, trial_seed
 from .judging import Line, Row
 
@@ -25,6 +26,8 @@ GROUPS = {
 def page(rows: Sequence[Row], command: str) -> str:
     """docs/blind_trial.md: which command wrote it, from how much of a trial and which code, and the tables."""
     states = ", ".join(sorted({row["state"] for row in rows}))
+    others = [row for row in rows if row["base"] in PROTOCOLS]
+    rows = judging.lit_from_the_start(rows)
     return f"""# Blind trial
 
 `{command}` wrote this page, from rows of `python -m tests.blind.trial`; a row is one movie of the independent
@@ -48,7 +51,15 @@ generator (`tests/blind`), diagnosed without its truth.
 
 Of known forms, where a parameter means the same in generator and catalogue and the form chosen is the one hidden.
 
-{_parameters(rows)}"""
+{_parameters(rows)}
+## Blinking, STORM and PALM
+
+Counted apart: the generator's strengths are those of molecules that are lit all along. Where each is lit but shortly,
+or once, a drift of the stage or unequal brightness may show nothing; what the report says it would have seen is held
+against that. {how_many(others)}
+
+{_protocols(others)}
+{_each_effect(others)}"""
 
 
 def how_many(rows: Sequence[Row]) -> str:
@@ -102,6 +113,24 @@ def _bases(rows: Sequence[Row]) -> str:
             f"`{base}`", str(len(mine)), _ratio(judging.group(mine, "single"), judging.exact),
             f"{sum(len(judging.right(row)) for row in many)} / {sum(len(judging.hidden(row)) for row in many)}",
             _ratio(judging.group(mine, "null"), judging.adequate),
+        ])  # fmt: skip
+    return _table(table)
+
+
+def _protocols(rows: Sequence[Row]) -> str:
+    """How it went where molecules are not lit from the start, or not for long."""
+    table = [[
+        "base", "nothing hidden: adequate", "one effect: exactly right", "a wrong name", "nothing named",
+        "… within 1.5 × the strength said to be seen", f"error after ≤ {judging.AT_FLOOR} floors", "crashed",
+    ]]  # fmt: skip
+    for base in PROTOCOLS:
+        mine = [row for row in rows if row["base"] == base]
+        single = judging.group(mine, "single")
+        missed = [row for row in single if not row["chosen"]]
+        table.append([
+            f"`{base}`", _ratio(judging.group(mine, "null"), judging.adequate), _ratio(single, judging.exact),
+            _ratio(single, lambda row: bool(judging.wrong(row))), f"{len(missed)} / {len(single)}",
+            _ratio(missed, judging.missed_as_said), _ratio(single, judging.at_the_floor), _ratio(mine, judging.crashed),
         ])  # fmt: skip
     return _table(table)
 

@@ -152,6 +152,20 @@ def test_known_and_unseen_forms_are_counted_apart():
     assert sum(each.hits for each in exact) == 51 and exact[0].asked == "≥ 95 %" and exact[1].asked == "≥ 88 %"
 
 
+def test_movies_of_other_protocols_are_counted_apart():
+    """Of four STORM movies with an effect one is told wrong, in one nothing is named that the report says it would not
+    have seen; nothing of that is in the lines of what is asked."""
+    lit = [row(case) for case in cases.planned({"single": 4, "null": 2})]
+    others = [row(case) for case in cases.planned({"single": 4, "null": 2}, 1, "emccd_storm")]
+    single = [i for i, each in enumerate(others) if each["group"] == "single"]
+    others[single[0]] |= {"chosen": ["psf_halo"], "found": {"psf_halo": {"parameters": {}, "sd": {}, "rivals": []}}}
+    others[single[1]] |= {"chosen": [], "detectable": {others[single[1]]["effects"][0][0]: None}}
+    text = written(lit + others, "command")
+    assert summary(lit) in text and judging.lit_from_the_start(lit + others) == lit
+    assert "| `emccd_storm` | 2 / 2 | 2 / 4 | 1 / 4 | 1 / 4 | 1 / 1 | 4 / 4 | 0 / 6 |" in text
+    assert "| `emccd_storm` |" not in text.split("## Blinking, STORM and PALM")[0]
+
+
 def test_several_effects_at_once_are_counted_one_by_one():
     """Of three to five hidden, the last is missed in each movie, and a wrong one named in the first."""
     rows = [
