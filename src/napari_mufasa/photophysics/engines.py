@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -65,6 +66,9 @@ def simulate_photons(
     # Zeros that are never written take no memory.
     photons = np.zeros((drive.size, exposure.light.size), np.int64)
     expected = np.zeros((drive.size if with_expected else 0, exposure.light.size))
+    emit = partial(
+        _emit, drive=drive, exposure=exposure, streams=streams, population=population, workers=workers, photons=photons
+    )
     exactly = np.ones(drive.size, dtype=bool)
     if engine == "fast":
         merged = merge_bright_states(chain, exposure.exposure_s)
@@ -77,26 +81,12 @@ def simulate_photons(
             if exactly.any():
                 bright = f"k01/k10 exceeds {SEPARATION}; running the exact engine for the molecules where it does"
                 warnings.warn(f"fast engine: {bright}", stacklevel=2)
-            slow = np.flatnonzero(~exactly)
-            _emit(
-                merged.chain,
-                merged.photon_rates,
-                slow,
-                drive,
-                exposure,
-                streams,
-                population,
-                workers,
-                expected,
-                photons,
-            )
+            emit(merged.chain, merged.photon_rates, ~exactly, expected)
     if exactly.any():
-        dark, none = np.zeros(len(chain.states)), np.zeros((0, exposure.light.size))
-        _emit(chain, dark, np.flatnonzero(exactly), drive, exposure, streams, population, workers, none, photons)
+        emit(chain, np.zeros(len(chain.states)), exactly, np.zeros((0, exposure.light.size)))
         if with_expected:
-            warnings.warn(
-                "exact engine: all noise of emission is kept (optics.emission_noise is 1 there)", stacklevel=2
-            )
+            kept = "all noise of emission is kept (optics.emission_noise is 1 there)"
+            warnings.warn(f"exact engine: {kept}", stacklevel=2)
             expected[exactly] = photons[exactly]
     return photons, expected
 
@@ -148,17 +138,18 @@ def merge_bright_states(chain: Chain, exposure_s: float = np.inf) -> Merged | st
 def _emit(
     chain: Chain,
     photon_rates: NDArray[np.float64],
-    which: NDArray[np.intp],
+    whose: NDArray[np.bool_],
+    expected: NDArray[np.float64],
+    *,
     drive: NDArray[np.float64],
     exposure: Exposure,
     streams: Streams,
     population: str,
     workers: int,
-    expected: NDArray[np.float64],
     photons: NDArray[np.int64],
 ) -> None:
-    """Photons of the molecules `which`, into their rows of `photons`: counted at jumps, and of the time spent in
-    emitting states; what was expected of that into those of `expected`, where it has rows."""
+    """Photons of some of the molecules, `whose` (molecule,), into their rows of `photons`: counted at jumps, and of the
+    time spent in emitting states; what was expected of that into those of `expected`, where it has rows."""
     from napari_mufasa.photophysics.kernels import emit
 
     drive = np.ascontiguousarray(drive, dtype=np.float64)
@@ -168,6 +159,7 @@ def _emit(
     start = np.cumsum(chain.start_vector())
     keys = streams.key(population + "photophysics"), streams.key(population + "emission")
     times = float(exposure.exposure_s), float(exposure.dead_time_s)
+    which = np.flatnonzero(whose)
 
     def part(rows: slice) -> None:
         emit(rates, start, drive, light, each, *times, keys, which[rows], expected, photons)
