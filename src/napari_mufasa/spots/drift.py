@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 from napari_mufasa.camera.frames import Frames
-from napari_mufasa.spots.evidence import block_means, peak_offsets, spot_filter
+from napari_mufasa.spots.evidence import block_means, lower_spread, peak_offsets, spot_filter
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -17,6 +17,9 @@ ANCHORS = 40  # times at which the shift is measured
 REACH_PX = 12  # from one time to the next the field is looked for no farther
 STILL_PX = 0.15  # apertures are moved on when the field has moved this far
 STANDS_OUT = 6.0  # robust sd of the correlation around it; noise alone has its top at 3 to 4
+ONE_HILL = 2 / 3  # of the top: nothing else within reach comes so far, as pairs of other molecules do by chance
+LEAP_PX = 1.0  # so far the field moves from one time to the next if it leaps
+CLEAR = 4.0  # robust sd of a filtered image: spots above are clear
 SEEN_PX = 0.3  # a common path that reaches farther is no noise
 
 
@@ -24,19 +27,31 @@ def common_path(images: Iterable[Image]) -> Array:
     """(image, 2) shift (y, x) of the whole field since the first of some filtered images (y, x).
 
     Each is compared with the mean of the ones before, brought back; molecules that bleach fade from both, so they do
-    not bias it.
+    not bias it. A leap is one of most of the spots: where other molecules are lit in every image, the few brightest of
+    two correlate at some shift, but not with each spot counted alike.
     """
     path: list[Array] = []
     reference: Field | None = None
+    alike: Field | None = None
     for image in images:
-        field = Field(image)
-        if reference is None:
-            reference, at = field, np.zeros(2)
+        field, flat = Field(image), Field(_flattened(image))
+        if reference is None or alike is None:
+            reference, alike, at = field, flat, np.zeros(2)
         else:
             at = reference.shift_of(field, near=path[-1])
+            leaps = np.hypot(*(at - path[-1])) > LEAP_PX
+            if leaps and np.hypot(*(alike.shift_of(flat, near=path[-1]) - at)) > LEAP_PX:
+                at = path[-1]
             reference.add(field, at, len(path))
+            alike.add(flat, at, len(path))
         path.append(at)
     return np.array(path).reshape(-1, 2)
+
+
+def _flattened(image: Image) -> Image:
+    """A filtered image in which spots that stand out of its noise are all as high."""
+    most = CLEAR * lower_spread(image)
+    return np.clip(image, -most, most)
 
 
 def common_motion(
@@ -73,7 +88,7 @@ class Field:
 
     def shift_of(self, other: Field, near: Array | None = None) -> Array:
         """How far (y, x) the other image has moved against this one, px: the top of their correlation within reach of
-        `near` (None: of no motion); `near` itself where no top stands out there."""
+        `near` (None: of no motion); `near` itself where no top stands out there, from its surroundings and alone."""
         near, reach = np.zeros(2) if near is None else near, self.reach_px
         correlation = fft.irfft2(other.spectrum * np.conj(self.spectrum), self.padded)
         centre = np.rint(near).astype(int)
@@ -82,7 +97,13 @@ class Field:
         top = np.array(np.unravel_index(np.argmax(window), window.shape))
         ranks = [int(0.1587 * window.size), window.size // 2]
         low, middle = np.partition(window, ranks, axis=None)[ranks]
-        if top.min() < 1 or top.max() > 2 * reach - 1 or window.max() - middle < STANDS_OUT * (middle - low):
+        height = window.max() - middle
+        if (
+            top.min() < 1
+            or top.max() > 2 * reach - 1
+            or height < STANDS_OUT * (middle - low)
+            or ndimage.label(window > middle + ONE_HILL * height)[1] > 1
+        ):
             return np.asarray(near, dtype=np.float64)
         return np.asarray(centre - reach + top + peak_offsets(window, top[None])[0], dtype=np.float64)
 
