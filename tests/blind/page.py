@@ -126,7 +126,7 @@ def _protocols(rows: Sequence[Row]) -> str:
     for base in PROTOCOLS:
         mine = [row for row in rows if row["base"] == base]
         single = judging.group(mine, "single")
-        missed = [row for row in single if not row["chosen"]]
+        missed = [row for row in single if not row["chosen"] and not judging.crashed(row)]
         table.append([
             f"`{base}`", _ratio(judging.group(mine, "null"), judging.adequate), _ratio(single, judging.exact),
             _ratio(single, lambda row: bool(judging.wrong(row))), f"{len(missed)} / {len(single)}",
@@ -174,10 +174,11 @@ def _parameters(rows: Sequence[Row]) -> str:
 
 
 def _plan(rows: Sequence[Row]) -> dict[str, int]:
-    """Cases planned of each group, as the rows tell: the largest plan of each of the trial's seeds."""
-    told: dict[int, Counter[str]] = defaultdict(Counter)
+    """Cases planned of each group, as the rows tell: the largest plan of each of the trial's seeds; of
+    bases that are in no plan, for each of them."""
+    told: dict[tuple[int, str], Counter[str]] = defaultdict(Counter)
     for row in rows:
-        told[trial_seed(row)] |= Counter(row["plan"])
+        told[trial_seed(row), row["base"] if row["base"] in PROTOCOLS else ""] |= Counter(row["plan"])
     every = sum(told.values(), Counter[str]())
     return {name: every[name] for name in PLAN if every[name]}
 

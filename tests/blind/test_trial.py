@@ -164,6 +164,9 @@ def test_movies_of_other_protocols_are_counted_apart():
     assert summary(lit) in text and judging.lit_from_the_start(lit + others) == lit
     assert "| `emccd_storm` | 2 / 2 | 2 / 4 | 1 / 4 | 1 / 4 | 1 / 1 | 4 / 4 | 0 / 6 |" in text
     assert "| `emccd_storm` |" not in text.split("## Blinking, STORM and PALM")[0]
+    palm = [row(case) | {"plan": {"single": 4}} for case in cases.planned({"single": 3}, 1, "emccd_palm")]
+    ran = [each | {"plan": {"single": 4, "null": 2}} for each in others] + palm
+    assert "**9 of 10 planned cases ran**" in written(lit + ran, "command")
 
 
 def test_several_effects_at_once_are_counted_one_by_one():

@@ -136,8 +136,8 @@ def test_beside_columns_at_random_their_pattern_is_no_relief_and_a_hump_is():
 
 
 class GapBench(Bench):
-    """Noise, of which some numbers are not to be had: "o3" not in the measurement, "o5" not in every simulation of the
-    base model, "o7" not where there are hot pixels."""
+    """Noise, of which some numbers are not to be had: "o3" not in the measurement, "o5" not in one simulation of the
+    base model, "o7" not in half of those with hot pixels, "o9" in half of all."""
 
     matching_simulations = 0
 
@@ -154,6 +154,7 @@ class GapBench(Bench):
         row[:, :2] += sum(100 * effect.fraction for effect in model.effects)
         if self.with_gaps:
             row[0, 5] = np.nan if number == 7 else row[0, 5]
+            row[1, 9] = np.nan if number % 2 else row[1, 9]
             row[2, 7] = np.nan if model.effects and number % 2 else row[2, 7]
         return row
 
@@ -176,9 +177,9 @@ def with_gaps():
 
 def test_what_cannot_be_measured_takes_no_part(with_gaps):
     state, x = with_gaps.base, with_gaps.bench.x
-    np.testing.assert_array_equal(np.flatnonzero(~state.measurable), [3, 5])
+    np.testing.assert_array_equal(np.flatnonzero(~state.measurable), [3, 9])
     wild = x.copy()
-    wild[:, [3, 5]] = 1e6
+    wild[:, [3, 9]] = 1e6
     assert state.score(wild) == state.score(x) and np.isfinite(state.score(x))
     assert state.held_out_error(wild) == state.held_out_error(x)
     assert (
@@ -187,6 +188,23 @@ def test_what_cannot_be_measured_takes_no_part(with_gaps):
     )
     evidence, misfit = with_gaps.null_distribution()
     assert set(evidence) == set(with_gaps.rays) and np.isfinite([*evidence.values(), misfit]).all()
+
+
+def test_what_few_simulations_do_not_show_is_that_of_the_next_one(with_gaps):
+    """One of the base simulations lacks "o5", half of them "o9"."""
+    assert with_gaps.rows[7, 0, 5] == with_gaps.rows[8, 0, 5] != 0
+    assert with_gaps.rows[7, 1, 5] != with_gaps.rows[8, 1, 5] and not with_gaps.rows[:, :, 9].any()
+
+
+def test_what_is_measurable_stays_the_same_from_stand_to_stand(with_gaps):
+    """At a further stand half of the simulations lack "o7", too, and all of them "o5"."""
+    bench = GapBench()
+    made = bench.made
+    bench.made = lambda model, number: np.where(np.arange(P) == 5, np.nan, made(model, number))
+    further = build(bench, nm.preset("FF").with_effects(effect_class("hot_pixels")()), [], (), with_gaps)
+    np.testing.assert_array_equal(further.base.measurable, with_gaps.base.measurable)
+    np.testing.assert_array_equal(further.rows[:, :, 5], np.broadcast_to(with_gaps.base.mean[:, 5], (60, 3)))
+    assert further.rows[1, 2, 7] == further.rows[2, 2, 7] and np.isfinite(further.rows).all()
 
 
 def test_the_error_is_that_of_the_others(with_gaps):
@@ -201,7 +219,7 @@ def test_the_error_is_that_of_the_others(with_gaps):
 def test_what_a_simulation_with_an_effect_does_not_show_is_no_evidence(with_gaps):
     strong = nm.preset("FF").with_effects(effect_class("hot_pixels")(fraction=0.02))
     rows = with_gaps.simulated([(strong, 4), (strong, 3), (strong, CHECK_SEED + 1)])
-    assert np.isfinite(rows).all() and with_gaps.bench.gaps == {"o7"}
+    assert np.isfinite(rows).all() and with_gaps.bench.gaps == {"o5", "o7"}
     assert rows[1, 2, 7] == with_gaps.rows[3, 2, 7] and rows[2, 2, 7] == with_gaps.base.check[1, 2, 7]
     np.testing.assert_allclose(rows[1, :, :2] - with_gaps.rows[3, :, :2], 2.0)  # what it shows counts
     assert len(with_gaps.rows) == BASE_SIMULATIONS

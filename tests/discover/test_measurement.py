@@ -30,7 +30,7 @@ def test_frames_before_the_light_comes_on_are_dark_frames():
     np.testing.assert_array_equal(found.movie, lit)
     np.testing.assert_array_equal(found.dark, dark)
     assert found.model.acquisition.n_frames == len(lit)
-    assert found.notes == ("Frames 0 to 29 are dark: they are taken as dark frames, the others as the movie.",)
+    assert found.notes == ("The first 30 frames are dark: they are taken as dark frames, the others as the movie.",)
 
 
 def test_unlit_ends_are_left_out_where_dark_frames_are_given_too():
@@ -38,11 +38,11 @@ def test_unlit_ends_are_left_out_where_dark_frames_are_given_too():
     found = prepare(whole, model(), dark)
     np.testing.assert_array_equal(found.movie, lit)
     np.testing.assert_array_equal(found.dark, dark)
-    assert found.notes == ("Frames 0 to 29 are dark: they are left out.",)
+    assert found.notes == ("The first 30 frames are dark: they are left out.",)
     ended = prepare(np.concatenate([lit, dark]), model(), dark)
     np.testing.assert_array_equal(ended.movie, lit)
     assert ended.whole == lit.shape == ended.movie.shape and ended.model.acquisition.n_frames == len(lit)
-    assert ended.notes == ("Frames 60 to 89 are dark: they are left out.",)
+    assert ended.notes == ("The last 30 frames are dark: they are left out.",)
 
 
 def test_a_long_movie_whose_light_goes_off_ends_there():
@@ -60,7 +60,7 @@ def test_what_is_left_of_a_movie_begins_with_an_even_frame():
     whole, dark, lit = begun_dark(29)
     for found in (prepare(whole, model()), prepare(whole, model(), dark)):
         np.testing.assert_array_equal(found.movie, lit[1:])
-        assert found.notes[0].startswith("Frames 0 to 28 are dark")
+        assert found.notes[0].startswith("The first 29 frames are dark")
     many = np.concatenate([nm.simulate_dark(model(), 71, seed=2), lit])
     np.testing.assert_array_equal(prepare(many, model()).dark, many[12:71])
     layer = SimpleNamespace(data=whole, metadata={}, name="movie")
@@ -95,7 +95,7 @@ def test_an_end_that_is_lit_by_the_level_believed_makes_no_dark_frames_lit():
     part = lit[:30].copy()
     part[:, :40] = dark[:, :40]
     found = prepare(np.concatenate([part, lit, dark]), model(), dark)
-    assert len(found.movie) == 30 + len(lit) and found.notes == ("Frames 90 to 119 are dark: they are left out.",)
+    assert len(found.movie) == 30 + len(lit) and found.notes == ("The last 30 frames are dark: they are left out.",)
 
 
 def test_a_few_dark_frames_before_the_light_do_not_serve_as_dark_frames():

@@ -92,7 +92,7 @@ def seen_from(library: Library, model: Model, kinds: Sequence[str]) -> Library:
     neighbourhood, where they are known)."""
     added = [effect.kind for effect in model.effects if effect.kind in kinds]
     others = [kind for kind in kinds if kind not in added]
-    return neighbourhood.build(library.bench, model, others, added, library.base.values, library.rays)
+    return neighbourhood.build(library.bench, model, others, added, library)
 
 
 def _around(library: Library, state: State, kinds: Sequence[str]) -> int:

@@ -19,8 +19,15 @@ from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.coordinates import Coordinate, changed, model_at
 from napari_mufasa.discover.derivatives import derivatives, free_steps
 from napari_mufasa.discover.metric import shrunk_correlation, whitener
-from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.rules import BASE_SIMULATIONS, CHECK_SIMULATIONS, RAYS, RENEWED, SLOPE_SEEDS, UNREAD
+from napari_mufasa.discover.rules import (
+    BASE_SIMULATIONS,
+    CHECK_SIMULATIONS,
+    MOST_SHOW,
+    RAYS,
+    RENEWED,
+    SLOPE_SEEDS,
+    UNREAD,
+)
 from napari_mufasa.discover.state import HALVES, Ray, State, two_sided
 from napari_mufasa.effects import Effect, catalogue
 from napari_mufasa.model.model import Model
@@ -110,17 +117,15 @@ def build(
     model: Model,
     kinds: Sequence[str],
     added: Sequence[str] = (),
-    values: Sequence[Nuisance] | None = None,
-    last: Mapping[str, list[Ray]] | None = None,
+    before: Library | None = None,
 ) -> Library:
     """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks, but for
-    those whose rays at the `last` stand are known: these are taken over (see `renewed`).
+    those whose rays at a stand `before` are known: these are taken over (see `renewed`), and so is what is measurable.
 
-    Free are its nuisance values (`values`, which know where they started; None: here) and the parameters of the
-    effects that were `added`, but for those that are read off the movie; effects of the model believed stay as they
-    are believed.
+    Free are its nuisance values (which know where they started at first) and the parameters of the effects that were
+    `added`, but for those that are read off the movie; effects of the model believed stay as they are believed.
     """
-    values = bench.free_values(model) if values is None else values
+    values = bench.free_values(model) if before is None else before.base.values
     free = [n.path for n in values]
     for effect in model.effects:
         seen = bench.read_off(effect.kind) if effect.kind in added else {}
@@ -130,9 +135,8 @@ def build(
     steps = free_steps(model, values, free)
     rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    # What the measurement or the model believed does not show in every part is known of neither.
-    known = np.isfinite(np.concatenate([bench.measured.values[None], rows, check])).all(axis=(0, 1))
-    rows, check = np.where(known, rows, 0.0), np.where(known, check, 0.0)
+    every, known = _without_gaps(bench, np.concatenate([rows, check]), before)
+    rows, check = every[: len(rows)], every[len(rows) :]
     least = np.where(known, bench.least_spread(), np.inf)
     blank = np.zeros(rows.shape[1:])
     bare = State(model, blank, blank, blank[..., None], prior, blank, check, tuple(free), least, tuple(values))
@@ -140,9 +144,28 @@ def build(
     slopes = derivatives(simulated, lambda by: model_at(model, values, free, by), steps, rows)
     base = with_noise_of(replace(bare, slopes=slopes), rows)
     library = with_halves(Library(bench, base, rows, {}), added)
-    earlier = {kind: last[kind] for kind in kinds if last and kind in last}
+    earlier = {kind: before.rays[kind] for kind in kinds if before and kind in before.rays}
     library = replace(library, rays=earlier, earlier=frozenset(earlier))
     return with_rays(library, [kind for kind in kinds if kind not in earlier])
+
+
+def _without_gaps(bench: Bench[Any], rows: Array, before: Library | None) -> tuple[Array, NDArray[np.bool_]]:
+    """Simulations of a model (simulation, part, observable) with a number for all that is known, 0 for the rest; and
+    which observables these are: those that the measurement shows in every part and, of the model believed, most
+    simulations, too. They stay the same from stand to stand, so that misfits can be compared. Where a simulation shows
+    none it has that of the next one which does; where none does, what was shown `before`."""
+    shown = np.isfinite(rows)
+    if before is None:
+        known = np.isfinite(bench.measured.values).all(axis=0) & (shown.mean(axis=0) > MOST_SHOW).all(axis=0)
+    else:
+        known = before.base.measurable
+    for part, i in zip(*np.nonzero(known & ~shown.all(axis=0)), strict=True):
+        gaps, others = np.flatnonzero(~shown[:, part, i]), np.flatnonzero(shown[:, part, i])
+        usual = 0.0 if before is None else before.base.mean[part, i]
+        next_one = np.searchsorted(others, gaps) % max(len(others), 1)
+        rows[gaps, part, i] = rows[others[next_one], part, i] if len(others) else usual
+        bench.gaps.add(bench.names[i])
+    return np.where(known, rows, 0.0), known
 
 
 def with_halves(library: Library, kinds: Sequence[str]) -> Library:

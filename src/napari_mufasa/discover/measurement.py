@@ -78,9 +78,9 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         begin = lit
         if first:
             used = "left out" if dark_data is not None else "taken as dark frames, the others as the movie"
-            notes.append(f"Frames 0 to {first - 1} are dark: they are {used}.")
+            notes.append(f"The first {first} frames are dark: they are {used}.")
         if stop < frames:
-            notes.append(f"Frames {stop} to {frames - 1} are dark: they are left out.")
+            notes.append(f"The last {frames - stop} frames are dark: they are left out.")
         if first and dark_data is None:
             dark_data = data[max(begin - DARK_FRAMES, 0) : first]
         data, shape = data[begin:stop], ((stop if stop < frames else shape[0]) - begin, *shape[1:])

@@ -19,7 +19,7 @@ from napari_mufasa.model.model import Model
 from napari_mufasa.one_thread import one_thread
 
 CURVE_SEED = 7_000
-NOT_HERE = "not measurable here"  # where an observable is that the measurement or some simulation does not show
+NOT_HERE = "not measurable here"  # where an observable is that the measurement or most simulations do not show
 
 
 def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
@@ -208,7 +208,7 @@ def _notes(inquiry: Standing, verdict: Verdict, cut_short: bool, table: pd.DataF
         notes.append(f"Not measurable here, and left out of every error and decision: {'; '.join(unknown)}.")
     if gaps := table[table.observable.isin(inquiry.bench.gaps)].title.tolist():
         notes.append(
-            f"Not shown by every simulation with an effect, and no evidence for or against it there: {'; '.join(gaps)}."
+            f"Not shown by every simulation, and no evidence for or against anything there: {'; '.join(gaps)}."
         )
     if cut_short:
         spent = inquiry.bench.done

@@ -178,5 +178,6 @@ def _near_spots(shape: tuple[int, ...], spots: Spots, reach_px: float) -> NDArra
     if far.all():
         return np.zeros(shape, dtype=bool)
     distance_px: NDArray[np.float64] = ndimage.distance_transform_edt(far)
-    result: NDArray[np.bool_] = distance_px < min(reach_px, float(np.quantile(distance_px, 1 - LEAST_BACKGROUND)))
+    farthest = float(np.quantile(distance_px, 1 - LEAST_BACKGROUND))
+    result: NDArray[np.bool_] = distance_px < min(reach_px, max(farthest, 1.0))
     return result

@@ -166,10 +166,10 @@ def add_line(counts, before, mine, down):  # type: ignore[no-untyped-def]
 @vectorised
 def line_noise(sums, labels, count):  # type: ignore[no-untyped-def]
     """Variance of line means about frame and line means, each times its number of pixels, of the sums (part, frame,
-    line) of some parts; lines of fewer than four pixels do not count: NaN where there are no others."""
+    line) of some parts; lines of fewer than four pixels do not count: NaN where no two others are left."""
     n = sums.shape[1]
     lines = np.flatnonzero(count >= 4)
-    if lines.size == 0 or n < 3:
+    if lines.size < 2 or n < 3:
         return np.nan
     means = np.zeros((n, lines.size))
     for t in range(n):
