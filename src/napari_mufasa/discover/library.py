@@ -22,7 +22,7 @@ from napari_mufasa.discover.metric import shrunk_correlation, whitener
 from napari_mufasa.discover.rules import (
     BASE_SIMULATIONS,
     CHECK_SIMULATIONS,
-    MOST_SHOW,
+    NEARLY_ALL,
     RAYS,
     RENEWED,
     SLOPE_SEEDS,
@@ -120,7 +120,7 @@ def build(
     before: Library | None = None,
 ) -> Library:
     """Simulate the neighbourhood of `model` (already matched) and a few settings of each effect that it lacks, but for
-    those whose rays at a stand `before` are known: these are taken over (see `renewed`), and so is what is measurable.
+    those whose rays at a stand `before` are known: these are taken over (see `renewed`).
 
     Free are its nuisance values (which know where they started at first) and the parameters of the effects that were
     `added`, but for those that are read off the movie; effects of the model believed stay as they are believed.
@@ -135,7 +135,7 @@ def build(
     steps = free_steps(model, values, free)
     rows = bench.rows([(model, k) for k in range(BASE_SIMULATIONS)])
     check = bench.rows([(model, CHECK_SEED + k) for k in range(CHECK_SIMULATIONS)])
-    every, known = _without_gaps(bench, np.concatenate([rows, check]), before)
+    every, known = _without_gaps(bench, np.concatenate([rows, check]))
     rows, check = every[: len(rows)], every[len(rows) :]
     least = np.where(known, bench.least_spread(), np.inf)
     blank = np.zeros(rows.shape[1:])
@@ -149,21 +149,17 @@ def build(
     return with_rays(library, [kind for kind in kinds if kind not in earlier])
 
 
-def _without_gaps(bench: Bench[Any], rows: Array, before: Library | None) -> tuple[Array, NDArray[np.bool_]]:
+def _without_gaps(bench: Bench[Any], rows: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Simulations of a model (simulation, part, observable) with a number for all that is known, 0 for the rest; and
-    which observables these are: those that the measurement shows in every part and, of the model believed, most
-    simulations, too. They stay the same from stand to stand, so that misfits can be compared. Where a simulation shows
-    none it has that of the next one which does; where none does, what was shown `before`."""
+    which observables these are: those that the measurement shows in every part, and nearly all simulations, too. A
+    simulation that shows none of one has that of the next which does: a freak takes no observable from all others, here
+    and not at the next stand."""
     shown = np.isfinite(rows)
-    if before is None:
-        known = np.isfinite(bench.measured.values).all(axis=0) & (shown.mean(axis=0) > MOST_SHOW).all(axis=0)
-    else:
-        known = before.base.measurable
+    known = np.isfinite(bench.measured.values).all(axis=0) & (shown.mean(axis=0) >= NEARLY_ALL).all(axis=0)
     for part, i in zip(*np.nonzero(known & ~shown.all(axis=0)), strict=True):
         gaps, others = np.flatnonzero(~shown[:, part, i]), np.flatnonzero(shown[:, part, i])
-        usual = 0.0 if before is None else before.base.mean[part, i]
-        next_one = np.searchsorted(others, gaps) % max(len(others), 1)
-        rows[gaps, part, i] = rows[others[next_one], part, i] if len(others) else usual
+        next_one = others[np.searchsorted(others, gaps) % len(others)]
+        rows[gaps, part, i] = rows[next_one, part, i]
         bench.gaps.add(bench.names[i])
     return np.where(known, rows, 0.0), known
 

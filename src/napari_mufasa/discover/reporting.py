@@ -19,7 +19,7 @@ from napari_mufasa.model.model import Model
 from napari_mufasa.one_thread import one_thread
 
 CURVE_SEED = 7_000
-NOT_HERE = "not measurable here"  # where an observable is that the measurement or most simulations do not show
+NOT_HERE = "not measurable here"  # where an observable is that the measurement or many simulations do not show
 
 
 def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:

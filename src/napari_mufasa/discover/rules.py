@@ -25,7 +25,7 @@ FAR_OFF = 2.5  # above so many floors what a model promises of its neighbourhood
 FAR = 1.35  # an error above so many floors is not explained, however far it fell (and an effect without which it would
 # be below, at the floor, is told by a whole fit) …
 EXPLAINED = 0.6  # … nor is one of which less than this share went away
-MOST_SHOW = 0.5  # of the simulations of the model believed: an observable that no more of them show is not measurable
+NEARLY_ALL = 0.9  # of the simulations of a model: an observable that fewer of them show is not measurable
 OFF = 3.0  # an observable farther off than so many standard deviations is failing
 PLAIN = 15.0  # −2 log likelihood by which another form must be better than the plain one (noise of judging: about 5)
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
