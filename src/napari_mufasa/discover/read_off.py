@@ -111,8 +111,8 @@ def uneven_background(observation: Observation) -> dict[str, Any]:
 def bright_side(observation: Observation) -> dict[str, float]:
     """`direction_deg` as the background's tilt shows it, if there is a map of it."""
     seen = dict(zip(observation.names, observation.part("all"), strict=True))
-    tilt = np.arctan2(seen["background_map_tilt_y"], seen["background_map_tilt_x"])
-    return {"direction_deg": float(np.rad2deg(tilt) % 360)} if np.isfinite(tilt) else {}
+    y, x = seen["background_map_tilt_y"], seen["background_map_tilt_x"]
+    return {"direction_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)} if y or x else {}
 
 
 def relief(observation: Observation, without_noise: Callable[[Array], Array]) -> dict[str, Any]:

@@ -274,12 +274,12 @@ def map_at(tiles: Array, positions_px: Array) -> Array:
 
 
 def _map(table: Table, tiles: Array, shape_px: tuple[int, ...]) -> None:
-    """Tilt, bow and unevenness of the background, from its tiles, relative to its mean; NaN where fewer than six show
-    any."""
+    """Tilt, bow and unevenness of the background, from its tiles, relative to its mean. Where fewer than six show any,
+    tilt and bow are as likely to either side, 0, and nothing is known of how uneven the rest is."""
     height, width = shape_px
     ok = np.isfinite(tiles)
     values = tiles[ok]
-    r2 = sy = sx = rest = np.nan
+    r2, sy, sx, rest = 0.0, 0.0, 0.0, np.nan
     if len(values) >= 6:
         row, column = np.nonzero(ok)
         half = max(height, width) / 2
