@@ -117,6 +117,13 @@ def test_a_leap_is_one_of_the_same_spots(same):
             assert np.hypot(*path.T).max() < 1
 
 
+def test_a_leap_of_spots_without_any_noise_is_followed():
+    images = np.zeros((2, 64, 64), np.float32)
+    for image, leap in zip(images, (0, 5), strict=True):
+        image[np.array([20, 30, 50]) + leap, np.array([20, 40, 30])] = 3.0, 1.0, 1.0
+    np.testing.assert_allclose(common_path(images)[1], (5, 0), atol=0.5)
+
+
 def test_a_path_longer_than_one_look_is_followed():
     """30 px in ten images: each is looked for around the place of the last."""
     rng = np.random.default_rng(0)

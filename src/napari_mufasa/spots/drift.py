@@ -49,9 +49,9 @@ def common_path(images: Iterable[Image]) -> Array:
 
 
 def _flattened(image: Image) -> Image:
-    """A filtered image in which spots that stand out of its noise are all as high."""
+    """A filtered image in which spots that stand out of its noise, if it has any, are all as high."""
     most = CLEAR * lower_spread(image)
-    return np.clip(image, -most, most)
+    return np.clip(image, -most, most) if most > 0 else image
 
 
 def common_motion(
