@@ -51,15 +51,20 @@ generator (`tests/blind`), diagnosed without its truth.
 
 Of known forms, where a parameter means the same in generator and catalogue and the form chosen is the one hidden.
 
-{_parameters(rows)}
+{_parameters(rows)}{_apart(others) if others else ""}"""
+
+
+def _apart(rows: Sequence[Row]) -> str:
+    """The section of movies whose molecules are not lit from the start, or not for long."""
+    return f"""
 ## Blinking, STORM and PALM
 
 Counted apart: the generator's strengths are those of molecules that are lit all along. Where each is lit but shortly,
 or once, a drift of the stage or unequal brightness may show nothing; what the report says it would have seen is held
-against that. {how_many(others)}
+against that. {how_many(rows)}
 
-{_protocols(others)}
-{_each_effect(others)}"""
+{_protocols(rows)}
+{_each_effect(rows)}"""
 
 
 def how_many(rows: Sequence[Row]) -> str:
@@ -118,7 +123,7 @@ def _bases(rows: Sequence[Row]) -> str:
 
 
 def _protocols(rows: Sequence[Row]) -> str:
-    """How it went where molecules are not lit from the start, or not for long."""
+    """How it went on each of their bases."""
     table = [[
         "base", "nothing hidden: adequate", "one effect: exactly right", "a wrong name", "nothing named",
         "… within 1.5 × the strength said to be seen", f"error after ≤ {judging.AT_FLOOR} floors", "crashed",
