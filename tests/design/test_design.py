@@ -9,9 +9,11 @@ import pytest
 from tests.spec_example import MODEL
 
 from napari_mufasa import MufasaError, camera, compare, extract_traces, preset, simulate, simulate_emission
+from napari_mufasa.camera.frames import Frames
 from napari_mufasa.design.predict import design, predict
 from napari_mufasa.model.model import Model
-from napari_mufasa.report.words import derived_values
+from napari_mufasa.report.words import derived_values, hardly_seen
+from napari_mufasa.spots.find import find_spots
 
 EXAMPLE = Model.from_dict(MODEL)
 
@@ -138,6 +140,8 @@ def test_the_viewers_numbers_are_those_of_the_prediction(name):
     assert shown("Brightest pixel") == pytest.approx(told.peak_pixel_e, **close)
     assert shown("Signal to noise") == pytest.approx(told.snr_peak_pixel, rel=0.06)
     assert shown("Signal to noise, whole spot") == pytest.approx(told.snr_spot, rel=0.06)
+    brief = told.on_time_s is not None and told.on_time_s < model.acquisition.frame_length_s
+    assert ("Signal to noise, bright visit" in rows) == brief
     assert shown("Bleaching after") == pytest.approx(told.bleaching_time_s, **close)
     assert shown("Movie length") == pytest.approx(told.movie_s, **close)
 
@@ -178,3 +182,50 @@ def test_a_triplet_without_return_ends_the_light():
     told = predict(model)
     assert told.bleaching_time_s is None and told.dark_time_s is None
     assert told.on_time_s == pytest.approx(1 / (told.k01_per_s * (5e-4 + 1e-3)), rel=0.01)
+
+
+def test_light_of_a_visit_is_that_of_the_simulator():
+    values = {"acquisition.n_frames": 4000, "fluorophore.cycles_before_bleaching": None}
+    model = preset("Blinking").with_values(values)
+    told = predict(model)
+    emission = simulate_emission(model, n_molecules=400, seed=3)[:, 500:]  # it starts in the dark
+    visits = emission.shape[1] * model.acquisition.interval_s / (told.on_time_s + told.dark_time_s)
+    detected = emission.sum(axis=1).mean() * told.detected_e_per_frame / told.emitted_photons_per_frame
+    # Some 85 visits of exponential length in each of 400 molecules: a relative sd below 1 %; four of them.
+    assert detected / visits == pytest.approx(told.detected_e_per_visit, rel=0.04)
+
+
+def test_a_short_visit_is_as_bright_as_its_share_of_a_frame():
+    model = preset("Alexa647-STORM")
+    told = predict(model)
+    share = told.on_time_s / model.acquisition.frame_length_s
+    assert share < 0.01 and told.detected_e_per_visit == pytest.approx(share * told.detected_e_per_frame)
+    as_dim = predict(model.with_values({"excitation.power_density_w_per_cm2": 1000 * share}))
+    assert told.snr_visit == pytest.approx(as_dim.snr_spot, rel=0.01)  # but for the start of saturation
+    steady = predict(preset("FF"))
+    assert steady.snr_visit == steady.snr_spot and predict(EXAMPLE).detected_e_per_visit is None
+
+
+def test_molecules_stand_out_as_told():
+    # Dim ones that are lit all along: the mean of 300 frames tells. Traces ask for 6 sd by a filter that
+    # takes the background off around each: it has two thirds of the PSF's signal to noise or more.
+    model = EXAMPLE.with_values({"excitation.power_density_w_per_cm2": 3, "sample.n_molecules": 40,
+                                 "sample.min_distance_px": 9.0})  # fmt: skip
+    told = predict(model)
+    places = np.stack(np.meshgrid(np.arange(10, 90, 13), np.arange(10, 90, 13)), axis=-1).reshape(-1, 2)[:36]
+    movie = simulate(model, positions_px=places.astype(float), seed=4).movie
+    evidence = find_spots(Frames(movie, model.camera), model.sigma_px).evidence.image
+    shown = float(np.mean(evidence[tuple(places.T)]))
+    assert told.detection_sd == pytest.approx(told.snr_spot * np.sqrt(300))
+    # Each is known to 1 sd, their mean of 36 to 0.17: four of them are 0.08 of what is told.
+    assert 2 / 3 - 0.08 < shown / told.detection_sd < 1.08
+
+
+@pytest.mark.parametrize("name", ["PALM", "STORM", "EGFP", "Alexa647-STORM"])
+def test_it_is_said_where_traces_will_find_next_to_nothing(name):
+    assert "find few or none" in hardly_seen(preset(name))
+    model = preset(name).with_values({"acquisition.n_frames": 200, "acquisition.shape_px": (128, 128)})
+    movie = simulate(model.with_values({"sample.n_molecules": 40}), seed=6).movie
+    found = extract_traces(movie, model.camera, psf_sigma_px=model.sigma_px)
+    assert len(found.all_traces) <= 4
+    assert hardly_seen(preset("FF")) == hardly_seen(preset("Blinking")) == ""

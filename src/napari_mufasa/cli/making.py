@@ -56,6 +56,7 @@ def simulate(
     import numpy as np
 
     from napari_mufasa import files
+    from napari_mufasa.report.words import hardly_seen
     from napari_mufasa.simulate.layout import read_positions
     from napari_mufasa.simulate.movie import SimulatedAcquisition
 
@@ -99,6 +100,8 @@ def simulate(
     n = len(acquisition.scene.positions_px)
     told = f"{counted(movie_shape[0], 'frame')} of {movie_shape[1]} × {movie_shape[2]} px, {counted(n, 'molecule')}"
     typer.echo(f"{out}: {told}, seed {seed}")
+    if (faint := hardly_seen(chosen)) and n:
+        typer.echo(faint)
 
 
 def _chosen_model(preset: str | None, path: Path | None) -> Model:

@@ -39,6 +39,11 @@ class Prediction:
         spot (what `extract_traces` does); noise of emission and detection, the camera's multiplication, background,
         read noise and rounding to whole counts (1/12 of their square) included; infinite without any noise
     on_time_s, dark_time_s : mean visit to the bright and to the dark state
+    detected_e_per_visit, snr_visit : photoelectrons of a mean visit to the bright state (None where it does not end),
+        and signal over noise of the whole spot in a frame that holds it, or as much of it as a frame can: where a visit
+        is shorter than a frame no frame is as bright as those above
+    detection_sd : by how many sd of the noise a molecule stands out, in the mean of a mean visit's frames or in that of
+        the movie, each fitted with the PSF; `extract_traces` asks for 6
     duty_cycle : share of its life the molecule is bright
     bleaching_time_s : mean time until bleaching, dark times and activation included
     photons_before_bleaching : detected photoelectrons in a life, those of the exposures only
@@ -60,7 +65,10 @@ class Prediction:
     snr_peak_pixel: float
     snr_spot: float
     on_time_s: float | None
+    detected_e_per_visit: float | None
+    snr_visit: float
     dark_time_s: float | None
+    detection_sd: float
     duty_cycle: float
     bleaching_time_s: float | None
     photons_before_bleaching: float | None
@@ -104,9 +112,17 @@ def predict(model: Model) -> Prediction:
     movie_s = timing.n_frames * timing.interval_s
     bleached, bright = _shares(bleach_rate, off_rate, back_rate or 0.0, first_light, movie_s)
     # Detection adds its own Poisson noise to that of the emission (docs/camera.md), of which the optics say the share.
-    emission_e2 = optics.emission_noise * detected * detected_share
-    pixels = _spot(model, detected, emission_e2)
+    emission_share = optics.emission_noise * detected_share
+    pixels = _spot(model, detected, emission_share * detected)
+    on_s = 1 / leaving if leaving > 0 else None
+    visit_e = detected * on_s / timing.frame_length_s if on_s is not None else None
+    in_frame_e = detected if visit_e is None else min(visit_e, detected)
+    in_frame = _spot(model, in_frame_e, emission_share * in_frame_e)
     floor = _w1_floor_e(model, detected, bright, pixels.spot_noise_e, pixels.empty_noise_e)
+    snr_visit = _over_noise(in_frame_e, in_frame.spot_noise_e)
+    visit_frames = min(max(1.0, (on_s or np.inf) / timing.interval_s), timing.n_frames)
+    mean_e = bright * detected
+    mean_noise_e = _spot(model, mean_e, emission_share * mean_e).spot_noise_e / np.sqrt(timing.n_frames)
     return Prediction(
         k01_per_s=k01,
         emitted_photons_per_frame=emitted,
@@ -116,7 +132,10 @@ def predict(model: Model) -> Prediction:
         peak_pixel_adu=pixels.peak_adu,
         snr_peak_pixel=_over_noise(pixels.peak_e, pixels.peak_noise_e),
         snr_spot=_over_noise(detected, pixels.spot_noise_e),
-        on_time_s=1 / leaving if leaving > 0 else None,
+        on_time_s=on_s,
+        detected_e_per_visit=visit_e,
+        snr_visit=snr_visit,
+        detection_sd=max(snr_visit * np.sqrt(visit_frames), _over_noise(mean_e, mean_noise_e)),
         dark_time_s=dark_s,
         duty_cycle=duty,
         bleaching_time_s=bleach_s,

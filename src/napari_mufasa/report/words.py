@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
 
 
+FAINT_SD = 4.0  # visits scatter: of exponential ones one in ten is long enough to stand out by half as much again
 MOST_OFF = 3  # observables that are told as still off
 NEEDLESS = 0.05  # p-value beyond which the data do not ask for an effect that was added by hand
 
@@ -103,6 +104,10 @@ def derived_values(model: Model) -> list[tuple[str, str, str]]:
         ("Signal to noise", _ratio(told.snr_peak_pixel), "brightest pixel, one frame"),
         ("Signal to noise, whole spot", _ratio(told.snr_spot), "the PSF fitted to one frame, as traces are made"),
     ]
+    if told.on_time_s is not None and told.on_time_s < model.acquisition.frame_length_s:
+        share = told.on_time_s / model.acquisition.frame_length_s
+        why = f"it lasts {_short(100 * share)} % of a frame: hardly a frame is as bright as those above"
+        rows.append(("Signal to noise, bright visit", _ratio(told.snr_visit), why))
     if told.bleaching_time_s is not None:
         frames = told.bleaching_time_s / model.acquisition.interval_s
         rows.append(
@@ -114,6 +119,19 @@ def derived_values(model: Model) -> list[tuple[str, str, str]]:
         )
     rows.append(("Movie length", f"{_short(told.movie_s)} s", "number of frames × frame interval"))
     return rows
+
+
+def hardly_seen(model: Model) -> str:
+    """One line where traces will find few of a movie's molecules, or none; nothing where they stand out."""
+    from napari_mufasa.design.predict import predict
+
+    stands_out = predict(model).detection_sd
+    if stands_out >= FAINT_SD:
+        return ""
+    return (
+        f"Its molecules stand out by {_ratio(stands_out)} sd of the noise (effects not counted), and traces ask for 6: they "
+        "will find few or none; `design` tells what more light, longer frames or less read noise would do."
+    )
 
 
 def _short(value: float) -> str:
