@@ -129,8 +129,8 @@ def hardly_seen(model: Model) -> str:
     if stands_out >= FAINT_SD:
         return ""
     return (
-        f"Its molecules stand out by {_ratio(stands_out)} sd of the noise (effects not counted), and traces ask for 6: they "
-        "will find few or none; `design` tells what more light, longer frames or less read noise would do."
+        f"Its molecules stand out by {_ratio(stands_out)} sd of the noise (effects not counted), and traces ask for 6: "
+        "they will find few or none; `design` tells what more light, longer frames or less read noise would do."
     )
 
 
