@@ -7,7 +7,8 @@ from scipy import ndimage
 import napari_mufasa as nm
 from napari_mufasa import optics
 from napari_mufasa.spots.drift import common_path
-from napari_mufasa.spots.evidence import block_means, spot_filter
+from napari_mufasa.spots.evidence import block_means
+from napari_mufasa.spots.filters import spot_filter
 from napari_mufasa.spots.follow import find_and_follow
 from napari_mufasa.spots.kernels import fit_weights, moved_back
 from napari_mufasa.spots.quantiles import quantiles

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from napari_mufasa.camera.frames import Frames
-from napari_mufasa.spots.evidence import block_means, lower_spread, peak_offsets, spot_filter
+from napari_mufasa.spots.evidence import block_means, peak_offsets
+from napari_mufasa.spots.filters import lower_spread, spot_filter
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,24 +17,24 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_mufasa.camera.frames import Frames, Stack
-from napari_mufasa.spots.quantiles import quantiles
+from napari_mufasa.spots.crowding import Between
+from napari_mufasa.spots.filters import Image, border_noise, lower_spread, spot_filter
 
-Image = NDArray[np.float32]
 SHORT_BLOCKS = 200  # at most this many short blocks per movie: bounds the time detection takes
-BACKGROUND_WIDTH = 2.0  # the filter's negative lobe is this much wider than its centre
 TILE = 16  # px; the noise is the same within a tile
-NARROW_REACH, WIDE_REACH = 3.0, 2.5  # where the two blurs end, in their own sd
 
 
 @dataclass(frozen=True)
 class Evidence:
     """image : evidence of a spot at each pixel, in noise sd; signal : the same with noise in time alone, which tells
-    where a spot lies; early, late : filtered means of the movie's first and last fifth; each (y, x)."""
+    where a spot lies; early, late : filtered means of the movie's first and last fifth; each (y, x). spread : robust sd
+    of `image` between its spots."""
 
     image: Image
     signal: Image
     early: Image
     late: Image
+    spread: float
 
 
 def block_means(stack: NDArray[Any], edges: NDArray[np.integer]) -> Stack:
@@ -46,49 +45,6 @@ def block_means(stack: NDArray[Any], edges: NDArray[np.integer]) -> Stack:
         stack = stack.astype(np.float32)
     means: Stack = kernels.block_means(np.ascontiguousarray(stack), np.asarray(edges, dtype=np.int64))
     return means
-
-
-def spot_filter(images: Stack, sigma_px: float) -> Stack:
-    """Zero-mean matched filter of a Gaussian spot for images (image, y, x): narrow minus wide blur.
-
-    Own loops because hundreds of images pass it in every simulation of a diagnosis: four times faster than two
-    of SciPy's `gaussian_filter` on 150 images of 96 × 96 pixels.
-    """
-    from napari_mufasa.spots import kernels
-
-    narrow, wide = _weights(sigma_px)
-    rows, columns = (np.pad(np.arange(n), len(wide) - 1, mode="symmetric") for n in images.shape[1:])
-    images = np.ascontiguousarray(images, dtype=np.float32)
-    filtered: Stack = kernels.spot_filter(images, narrow.astype(np.float32), wide.astype(np.float32), rows, columns)
-    return filtered
-
-
-def _weights(sigma_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Halves of the narrow and the wide blur's weights, centre first."""
-    halves = []
-    for sd, reach in ((sigma_px, NARROW_REACH), (BACKGROUND_WIDTH * sigma_px, WIDE_REACH)):
-        weights = np.exp(-0.5 * (np.arange(int(reach * sd + 0.5) + 1) / sd) ** 2)
-        halves.append(weights / (2 * weights.sum() - weights[0]))
-    return halves[0], halves[1]
-
-
-@lru_cache(maxsize=8)  # each as large as a frame, and each width of a PSF has its own
-def border_noise(shape_px: tuple[int, int], sigma_px: float) -> Image:
-    """(y, x) noise sd of the filter relative to the middle of the field: larger where it reflects at the border.
-
-    The filter is a difference of two separable ones, so the variance of filtered white noise is a sum of
-    products of one-dimensional sums of squared weights.
-    """
-    products = []
-    for n in shape_px:
-        narrow, wide = (
-            ndimage.correlate1d(np.eye(n), np.concatenate([half[:0:-1], half]), axis=0) for half in _weights(sigma_px)
-        )
-        products.append([(a * b).sum(axis=1) for a, b in ((narrow, narrow), (narrow, wide), (wide, wide))])
-    (yn, ym, yw), (xn, xm, xw) = products
-    variance = np.outer(yn, xn) - 2 * np.outer(ym, xm) + np.outer(yw, xw)
-    relative = variance / variance[shape_px[0] // 2, shape_px[1] // 2]
-    return np.asarray(np.sqrt(relative), dtype=np.float32)
 
 
 def search(
@@ -128,7 +84,7 @@ def search(
     whole = (total / n_blocks).astype(np.float32)
     if n_blocks < 3:  # too short for differences in time: noise from the spread in space
         image = (whole / max(lower_spread(whole), 1e-12)).astype(np.float32)
-        return Evidence(image, image, early, late)
+        return Evidence(image, image, early, late, lower_spread(image))
     noise = np.sqrt(_smooth_floor(steps / (2 * (n_blocks - 1)))).astype(np.float32)
     noise *= border_noise((shape[0], shape[1]), sigma_px)
     noise = np.maximum(noise, np.float32(1e-12))
@@ -137,8 +93,10 @@ def search(
         best = np.maximum(best, middle / (noise / np.float32(np.sqrt(kernels.MIDDLE))))
     whole_noise = noise / np.float32(np.sqrt(n_blocks))
     # Static structure that is no molecule (uneven light, fixed pattern) limits the long average.
-    limited = np.maximum(whole_noise, np.float32(lower_spread(whole)))
-    return Evidence(np.maximum(best, whole / limited), np.maximum(best, whole / whole_noise), early, late)
+    between = Between.of(whole, whole_noise, sigma_px)
+    limited = np.maximum(whole_noise, np.float32(between.spread(whole)))
+    image = np.maximum(best, whole / limited)
+    return Evidence(image, np.maximum(best, whole / whole_noise), early, late, between.spread(image))
 
 
 def short_block(n_frames: int, asked: int | None = None) -> int:
@@ -203,12 +161,6 @@ def peak_offsets(image: NDArray[np.floating], peaks: NDArray[np.int64]) -> NDArr
         offset = np.divide(0.5 * (low - high), bend, out=np.zeros(len(peaks)), where=bend < 0)
         offsets[:, axis] = np.clip(offset, -0.5, 0.5)
     return offsets
-
-
-def lower_spread(image: NDArray[np.floating]) -> float:
-    """Robust sd from the lower half, which spots do not reach."""
-    low, middle = quantiles(image.ravel(), [0.1587, 0.5])
-    return float(middle - low)
 
 
 def _smooth_floor(variance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,7 +16,8 @@ from scipy import ndimage
 from napari_mufasa import checks
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.spots.evidence import Evidence, Image, lower_spread, peak_offsets, search
+from napari_mufasa.spots.evidence import Evidence, peak_offsets, search
+from napari_mufasa.spots.filters import Image, lower_spread
 
 Threshold = Literal["sigma", "percentile", "otsu", "triangle"]
 THRESHOLDS: tuple[Threshold, ...] = ("sigma", "percentile", "otsu", "triangle")
@@ -60,24 +61,30 @@ def find_spots(
     report : called with the frames of each block read; cancel : True stops (raises `Cancelled`)
     """
     seen = search(frames, sigma_px, block=block, drift_px=drift_px, report=report, cancel=cancel)
-    peaks = candidates(seen.image, sigma_px, method=threshold, value=value)
+    peaks = candidates(seen.image, sigma_px, method=threshold, value=value, spread=seen.spread)
     significance = seen.image[tuple(peaks.T)].astype(np.float64)
     positions = summits(seen.signal, peaks)
     return Found(positions, significance, prominence(seen.image, positions, sigma_px), seen)
 
 
 def candidates(
-    image: Image, sigma_px: float, *, method: Threshold = "sigma", value: float | None = None
+    image: Image,
+    sigma_px: float,
+    *,
+    method: Threshold = "sigma",
+    value: float | None = None,
+    spread: float | None = None,
 ) -> NDArray[np.int64]:
     """Pixels (candidate, 2) of the local maxima of an image of evidence above a threshold.
 
     method : "sigma": `value` (6) noise sd, and as many robust sd above the image's own background, so that
         heavy-tailed noise (electron multiplication) raises no false candidates; "percentile": `value` (98)
         of the pixels lie below; "otsu", "triangle": from the histogram.
+    spread : robust sd of the background (None: that of the image's lower half)
     """
     from skimage.feature import peak_local_max
 
-    level = threshold_level(image, method, value)
+    level = threshold_level(image, method, value, spread)
     distance = max(1, round(sigma_px))
     peaks = peak_local_max(  # type: ignore[no-untyped-call]
         image, min_distance=distance, threshold_abs=level, exclude_border=False
@@ -104,13 +111,13 @@ def check_threshold(method: str, value: float | None) -> None:
         checks.number(value, "threshold_value (a percentile)", 0, 100)
 
 
-def threshold_level(image: Image, method: Threshold, value: float | None) -> float:
+def threshold_level(image: Image, method: Threshold, value: float | None, spread: float | None = None) -> float:
     from skimage import filters
 
     check_threshold(method, value)
     if method == "sigma":
         k = NOISE_SD if value is None else float(value)
-        return max(k, float(np.median(image)) + k * lower_spread(image))
+        return max(k, float(np.median(image)) + k * (lower_spread(image) if spread is None else spread))
     if method == "percentile":
         return float(np.percentile(image, 98.0 if value is None else float(value)))
     if method == "otsu":

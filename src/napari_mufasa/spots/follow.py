@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.spots.drift import SEEN_PX, between, common_path
-from napari_mufasa.spots.evidence import block_means, spot_filter
+from napari_mufasa.spots.evidence import block_means
+from napari_mufasa.spots.filters import spot_filter
 from napari_mufasa.spots.find import Found, find_spots, isolation_px, neighbour_px
 from napari_mufasa.spots.quantiles import quantiles
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.cluster import in_order
-from napari_mufasa.spots.evidence import border_noise, lower_spread, spot_filter
+from napari_mufasa.spots.filters import border_noise, lower_spread, spot_filter
 
 Array = NDArray[np.float64]
 AVERAGED = 3  # frames, around each: dim spots are found in their mean, and have hardly moved in it
