@@ -493,9 +493,24 @@ def test_the_smallest_distance_between_molecules_is_read_off_the_spots():
     assert np.mean(told**2) == pytest.approx(25.0, abs=1.0)
 
 
-def test_molecules_at_random_are_not_called_spaced():
+def test_a_few_pairs_that_are_nearer_are_exceptions():
     model = nm.preset("EGFP").with_values({"optics.psf_fwhm_nm": 300.0, "acquisition.pixel_size_nm": 100.0})
-    spaced = sum(nuisance.spaced(model, _spots_of(50, 0.0, k), 96**2).sample.min_distance_px > 0 for k in range(200))
+    told = []
+    for k in range(30):
+        spots = _spots_of(150, 5.0, k)
+        angles = np.linspace(0, 2 * np.pi, 60)
+        near = spots[:, None] + 3.66 * np.stack([np.sin(angles), np.cos(angles)], axis=-1)  # spots that nearly merge
+        neighbours = (np.linalg.norm(near.reshape(-1, 1, 2) - spots, axis=-1) < 5.0).sum(axis=1)
+        odd = near.reshape(-1, 2)[neighbours == 1][0]  # nearer to one of them than molecules lie
+        told.append(nuisance.spaced(model, np.concatenate([spots, [odd]]), 96**2).sample.min_distance_px)
+    # c is 3.8 px⁻²: 46 pairs at random would lie between 3.6 px, where spots merge, and 5 px.
+    assert np.mean(told) == pytest.approx(5.0, abs=0.15) and min(told) > 4.6
+
+
+@pytest.mark.parametrize("n", [50, 150])
+def test_molecules_at_random_are_not_called_spaced(n):
+    model = nm.preset("EGFP").with_values({"optics.psf_fwhm_nm": 300.0, "acquisition.pixel_size_nm": 100.0})
+    spaced = sum(nuisance.spaced(model, _spots_of(n, 0.0, k), 96**2).sample.min_distance_px > 0 for k in range(200))
     # e⁻⁴ each, a little more as neighbours beyond the edge are not seen: 3 % is 6 of 200, 15 has a chance of 0.1 %.
     assert spaced <= 15
 
