@@ -109,6 +109,12 @@ def test_targets_that_exclude_each_other_are_told():
     assert sharp.ranges["localisation_nm"][0][0] == pytest.approx(sharp.value)
 
 
+def test_light_that_never_ends_is_enough():
+    steady = nm.preset("FF").with_values({"fluorophore.cycles_before_bleaching": None})
+    found = nm.solve(steady, {"snr_spot": 5, "detected_e_per_visit": 100, "on_time_s": 1})
+    assert all(found.met.values())
+
+
 def test_a_whole_number_is_solved_for_as_one():
     found = nm.solve(nm.preset("FF"), {"bleached_by_the_end": 0.5}, "acquisition.n_frames")
     assert found.value == int(found.value)

@@ -78,12 +78,39 @@ def test_spots_that_are_taken_out_leave_what_is_uneven_between_them(n):
 
 @pytest.mark.parametrize("grain_px", [0.0, 0.7, 1.3, 2.0, 4.0])
 def test_a_pattern_without_spots_is_not_a_crowded_field(grain_px):
-    # As uneven upwards as downwards, it cannot be made of spots; and many a maximum is far above the noise.
+    # It is as uneven downwards as upwards; and many a maximum is far above the noise.
     pattern = ndimage.gaussian_filter(np.random.default_rng(7).normal(size=(SIDE, SIDE)), grain_px)
     image = spot_filter(np.float32(pattern / pattern.std())[None], SIGMA)[0]
     noise = np.full_like(image, lower_spread(image) / 50)
     between = Between.of(image, noise, SIGMA)
     assert between.crowded == 0 and between.spread(image) == lower_spread(image)
+
+
+@pytest.mark.parametrize("period_px", [4.0, 5.0, 6.0, 8.0])
+@pytest.mark.parametrize("kind", ["fringes", "egg crate", "mesh"])
+def test_a_regular_pattern_is_not_a_crowded_field(kind, period_px):
+    # CLEAN takes much of it out: what tells is that it is no more uneven upwards than downwards.
+    y, x = np.mgrid[:SIDE, :SIDE]
+    waves = np.sin(2 * np.pi * np.stack([0.9 * x + 0.4 * y, x + 0.3, y + 0.1]) / period_px)
+    pattern = {"fringes": waves[0], "egg crate": waves[1] * waves[2], "mesh": (waves[1:] > 0.8).any(axis=0)}[kind]
+    light = 100 * (1 + 0.05 * pattern)
+    movie = np.random.default_rng(5).poisson(light, (200, SIDE, SIDE)).astype(np.uint16)
+    camera = nm.Model.from_dict(generator.base_model("cmos")).camera
+    camera = camera.model_copy(update={"electrons_per_adu": 1.0, "baseline_adu": 0.0})
+    found = find_spots(Frames(movie, camera), SIGMA)
+    assert found.evidence.spread == lower_spread(found.evidence.image)
+    assert found.is_spot.sum() <= 3
+
+
+def test_a_large_field_is_judged_by_its_middle():
+    spots, uneven = field(600, seed=3)
+    tiles = np.tile(spots, (6, 6)), np.tile(uneven, (6, 6))  # 768 × 768
+    noise = np.full_like(tiles[0], lower_spread(uneven))
+    whole, part = Between.of(tiles[0], noise, SIGMA), Between.of(spots, noise[:SIDE, :SIDE], SIGMA)
+    # The middle of 512 px holds 16 of the 128 px tiles, their borders not those of a field alone.
+    assert whole.crowded == pytest.approx(part.crowded, abs=0.1) and part.crowded > 0.8
+    assert whole.of_mean < 0.5 * lower_spread(tiles[0])
+    assert whole.spread(tiles[0]) == pytest.approx(whole.of_mean)
 
 
 def test_more_molecules_show_more_spots_until_they_merge():

@@ -15,7 +15,7 @@ import napari_mufasa as nm
 from napari_mufasa.camera.frames import with_dark_baseline
 from napari_mufasa.optics import spot_images
 from napari_mufasa.spots.aperture import aperture
-from napari_mufasa.spots.evidence import frames_needed
+from napari_mufasa.spots.times import frames_needed
 from napari_mufasa.traces import Options, extract_traces
 from napari_mufasa.traces.candidates import least_edge_px
 from napari_mufasa.traces.extract import held_share

@@ -39,11 +39,11 @@ class Prediction:
         spot (what `extract_traces` does); noise of emission and detection, the camera's multiplication, background,
         read noise and rounding to whole counts (1/12 of their square) included; infinite without any noise
     on_time_s, dark_time_s : mean visit to the bright and to the dark state
-    detected_e_per_visit, snr_visit : photoelectrons of a mean visit to the bright state (None where it does not end),
-        and signal over noise of the whole spot in a frame that holds it, or as much of it as a frame can: where a visit
-        is shorter than a frame no frame is as bright as those above
-    detection_sd : by how many sd of the noise a molecule stands out, in the mean of a mean visit's frames or in that of
-        the movie, each fitted with the PSF; `extract_traces` asks for 6
+    detected_e_per_visit : photoelectrons of a mean visit to the bright state (None where it does not end)
+    snr_visit : signal over noise of the whole spot in a frame at whose beginning it is bright: where a visit is shorter
+        than a frame no frame is as bright as those above
+    detection_sd : by how many sd of the noise of empty pixels it stands out, fitted with the PSF, in means over the
+        times that `extract_traces` looks at (docs/traces.md), which asks for 6; of many visits the longest do more
     duty_cycle : share of its life the molecule is bright
     bleaching_time_s : mean time until bleaching, dark times and activation included
     photons_before_bleaching : detected photoelectrons in a life, those of the exposures only
@@ -83,6 +83,7 @@ class Prediction:
 def predict(model: Model) -> Prediction:
     """What to expect of a model, by formulas: no movie is simulated, and effects are left out."""
     from napari_mufasa.model.model import Model
+    from napari_mufasa.spots.times import averaged_frames
 
     checks.need(model, Model, "model", "give preset(NAME) or Model.from_json(PATH)")
     dye, light, optics, timing = model.fluorophore, model.excitation, model.optics, model.acquisition
@@ -115,14 +116,17 @@ def predict(model: Model) -> Prediction:
     emission_share = optics.emission_noise * detected_share
     pixels = _spot(model, detected, emission_share * detected)
     on_s = 1 / leaving if leaving > 0 else None
-    visit_e = detected * on_s / timing.frame_length_s if on_s is not None else None
-    in_frame_e = detected if visit_e is None else min(visit_e, detected)
-    in_frame = _spot(model, in_frame_e, emission_share * in_frame_e)
+
+    def lit(seconds: float) -> float:
+        """Mean share of a time that a molecule is bright which is so at its beginning."""
+        return _shares(bleach_rate, off_rate, back_rate or 0.0, None, seconds)[1]
+
+    visit_e = detected * lit(timing.frame_length_s)
+    visit = _spot(model, visit_e, emission_share * visit_e)
+    means = {n: lit(n * timing.interval_s) for n in averaged_frames(timing.n_frames)[:-1]} if bright > 0 else {}
+    means |= {timing.n_frames: bright}
+    most_e = detected * max(share * np.sqrt(n) for n, share in means.items())
     floor = _w1_floor_e(model, detected, bright, pixels.spot_noise_e, pixels.empty_noise_e)
-    snr_visit = _over_noise(in_frame_e, in_frame.spot_noise_e)
-    visit_frames = min(max(1.0, (on_s or np.inf) / timing.interval_s), timing.n_frames)
-    mean_e = bright * detected
-    mean_noise_e = _spot(model, mean_e, emission_share * mean_e).spot_noise_e / np.sqrt(timing.n_frames)
     return Prediction(
         k01_per_s=k01,
         emitted_photons_per_frame=emitted,
@@ -133,9 +137,9 @@ def predict(model: Model) -> Prediction:
         snr_peak_pixel=_over_noise(pixels.peak_e, pixels.peak_noise_e),
         snr_spot=_over_noise(detected, pixels.spot_noise_e),
         on_time_s=on_s,
-        detected_e_per_visit=visit_e,
-        snr_visit=snr_visit,
-        detection_sd=max(snr_visit * np.sqrt(visit_frames), _over_noise(mean_e, mean_noise_e)),
+        detected_e_per_visit=detected * on_s / timing.frame_length_s if on_s is not None else None,
+        snr_visit=_over_noise(visit_e, visit.spot_noise_e),
+        detection_sd=_over_noise(most_e, pixels.empty_noise_e),
         dark_time_s=dark_s,
         duty_cycle=duty,
         bleaching_time_s=bleach_s,

@@ -144,7 +144,7 @@ def _excess(reached: float | None, name: str, wanted: float) -> float:
     """log of what is reached over what is wanted, from 0 on it is met. What a model does not have is met where less is
     better, and where it never ends (no bleaching); else it is not."""
     if reached is None:
-        never_ends = name in LESS_IS_BETTER or "bleaching" in name or name == "on_time_s"
+        never_ends = name in LESS_IS_BETTER or "bleaching" in name or name in ("on_time_s", "detected_e_per_visit")
         return np.inf if never_ends and name != "localisation_nm" else -np.inf
     ratio = np.log(reached / wanted) if reached > 0 else -np.inf
     return float(-ratio if name in LESS_IS_BETTER else ratio)

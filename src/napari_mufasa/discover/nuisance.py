@@ -20,7 +20,6 @@ from napari_mufasa.observe import photoelectrons_per_adu
 
 REACH = 2.5  # how many widths of its prior a value may move
 PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the nearest: none of them is a chance of e⁻⁴
-EXCEPTIONS = 0.015  # pairs per spot that may be nearer than any two must be
 
 
 @dataclass(frozen=True)
@@ -110,18 +109,20 @@ def spaced(model: Model, positions_px: NDArray[np.float64], area_px2: float) -> 
     show: where nothing is believed of it, and molecules at random would have neighbours that are nearer.
 
     n spots at random have c r² pairs nearer than r on average, c = n(n−1)π/2A; two spots less than 2√2 σ apart are
-    seen as one. The nearest pair is farther apart than any two must be, in r² by 1/c on average. A few pairs may be
-    exceptions in a large field: as many as leave the rest the least likely at random.
+    seen as one. The nearest pair is farther apart than any two must be, in r² by 1/c on average. Where many pairs are
+    missed a few that are nearer are exceptions: as many as leave the rest least likely by chance, and by e⁻⁴
+    less likely than without any, for there are many to choose from.
     """
     n, sample = len(positions_px), model.sample
     if n < 2 or sample.layout != "random" or sample.min_distance_px > 0:
         return model
     pairs_per_px2 = n * (n - 1) * np.pi / (2 * area_px2)
-    exceptions = np.arange(int(EXCEPTIONS * n) + 1)
-    nearest = np.partition(pdist(positions_px), exceptions)[exceptions] ** 2
-    by_chance = poisson.logcdf(exceptions, np.maximum(pairs_per_px2 * (nearest - 8 * model.sigma_px**2), 0.0))
+    exceptions = np.arange(n // 5 + 1)
+    nearest = np.sort(pdist(positions_px))[exceptions] ** 2
+    missed = np.maximum(pairs_per_px2 * (nearest - 8 * model.sigma_px**2), 0.0)
+    by_chance = poisson.logcdf(exceptions, missed) + PAIRS_MISSED * (exceptions > 0)
     fewest = int(np.argmin(by_chance))
-    if by_chance[fewest] + np.log(len(exceptions)) > -PAIRS_MISSED:
+    if by_chance[fewest] > -PAIRS_MISSED:
         return model
     return model.with_values({"sample.min_distance_px": float(np.sqrt(nearest[fewest] - 1 / pairs_per_px2))})
 

@@ -181,8 +181,8 @@ def _above_background(electrons: NDArray[np.float64]) -> tuple[NDArray[np.float6
 def _least_frames(found: TraceSet) -> float:
     """In how many frames a molecule must be lit to be surely among the traces: what was asked for, or what the usual
     one needs to be found by its light."""
-    from napari_mufasa.spots.evidence import frames_needed
     from napari_mufasa.spots.find import NOISE_SD
+    from napari_mufasa.spots.times import frames_needed
 
     options, table = found.options, found.molecules[found.kept]
     asked = float(max(options.min_lit_frames, options.window or 0, 1))

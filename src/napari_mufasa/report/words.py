@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
 
 
-FAINT_SD = 4.0  # visits scatter: of exponential ones one in ten is long enough to stand out by half as much again
+FAINT_SD = 3.5  # well below what traces ask for: visits scatter, and of many the longest does more
 MOST_OFF = 3  # observables that are told as still off
 NEEDLESS = 0.05  # p-value beyond which the data do not ask for an effect that was added by hand
 
@@ -130,7 +130,7 @@ def hardly_seen(model: Model) -> str:
         return ""
     return (
         f"Its molecules stand out by {_ratio(stands_out)} sd of the noise (effects not counted), and traces ask for 6: "
-        "they will find few or none; `design` tells what more light, longer frames or less read noise would do."
+        "they may miss most of them, or all; `design` tells what more light, more or longer frames or less noise do."
     )
 
 

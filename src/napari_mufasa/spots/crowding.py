@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from napari_mufasa.spots.filters import BACKGROUND_WIDTH, lower_spread, spot_filter
+from napari_mufasa.spots.quantiles import quantiles
 
 SEEN_SD = 6.0  # sd above which a local maximum counts as a spot here
 DENSE = (0.2, 0.4)  # spots per 4πσ² (the area of one) where a field begins to be crowded, and where it is
+UPWARDS = (1.1, 1.3)  # upper over lower spread: fringes have 1 or less, grain 1, spots that merge 1.4 and more
 DEPTH_SD = 1.0  # maxima are taken out down to so many sd of what is left
 SHARE = 0.5  # of a maximum's spot that is taken out at a time
 MOST_SWEEPS, EARNS = 40, 0.005  # it ends where a sweep lowers the spread by a smaller share
+ENOUGH_PX = 512  # sides of the middle of a field that tells
 
 
 @dataclass(frozen=True)
@@ -27,27 +30,33 @@ class Between:
     """Spread between spots of images filtered for spots of sd `sigma_px`.
 
     crowded : 0 where spots are few and the lower half of an image tells, 1 where they must be taken out first, a share
-    of both in between: what is found changes nowhere at once.
+    of both in between: what is found changes nowhere at once. of_mean : spread of the mean of the movie.
     """
 
     sigma_px: float
     crowded: float
+    of_mean: float
 
     @classmethod
-    def of(cls, image: NDArray[np.float32], noise: NDArray[np.float32], sigma_px: float) -> Between:
+    def of(cls, mean: NDArray[np.float32], noise: NDArray[np.float32], sigma_px: float) -> Between:
         """As the mean of a movie, filtered, shows it (y, x), beside the sd of its noise (y, x)."""
-        if _density(image, SEEN_SD * noise, sigma_px) <= DENSE[0]:
-            return cls(sigma_px, 0.0)
-        uneven = np.median(image) + SEEN_SD * spread_without_spots(image, sigma_px)
-        density = _density(image, np.maximum(SEEN_SD * noise, uneven), sigma_px)
-        return cls(sigma_px, float(np.interp(density, DENSE, (0, 1))))
+        everywhere, image, noise = lower_spread(mean), _middle(mean), _middle(noise)
+        low, middle, high = quantiles(image.ravel(), [0.1587, 0.5, 0.8413])
+        upwards = np.interp(high - middle, np.multiply(UPWARDS, middle - low), (0, 1)) if middle > low else 0.0
+        if upwards == 0 or _density(image, SEEN_SD * noise, sigma_px) <= DENSE[0]:
+            return cls(sigma_px, 0.0, everywhere)
+        between = spread_without_spots(image, sigma_px)
+        density = _density(image, SEEN_SD * np.maximum(noise, between), sigma_px)
+        crowded = float(upwards * np.interp(density, DENSE, (0, 1)))
+        return cls(sigma_px, crowded, everywhere + crowded * min(between - float(middle - low), 0.0))
 
     def spread(self, image: NDArray[np.float32]) -> float:
         """Robust sd of an image (y, x) between its spots."""
         everywhere = lower_spread(image)
         if self.crowded == 0:
             return everywhere
-        return everywhere + self.crowded * min(spread_without_spots(image, self.sigma_px) - everywhere, 0.0)
+        image = _middle(image)
+        return everywhere + self.crowded * min(spread_without_spots(image, self.sigma_px) - lower_spread(image), 0.0)
 
 
 def spread_without_spots(image: NDArray[np.float32], sigma_px: float) -> float:
@@ -63,13 +72,19 @@ def spread_without_spots(image: NDArray[np.float32], sigma_px: float) -> float:
         rest = rest - spot_filter(spots[None], sigma_px)[0]
         before, spread = spread, lower_spread(rest)
         if spread > (1 - EARNS) * before:
-            break
+            return min(before, spread)
     return spread
 
 
-def _density(image: NDArray[np.float32], level: NDArray[np.floating], sigma_px: float) -> float:
-    """Local maxima above a level per area of a spot."""
-    return float(np.mean(_maxima(image, level, sigma_px)) * 4 * np.pi * sigma_px**2)
+def _middle(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The middle of a large image (y, x)."""
+    y, x = (max(0, (side - ENOUGH_PX) // 2) for side in image.shape)
+    return image[y : y + ENOUGH_PX, x : x + ENOUGH_PX]
+
+
+def _density(image: NDArray[np.float32], above: NDArray[np.floating], sigma_px: float) -> float:
+    """Local maxima per area of a spot that are so far above the middle of what there is."""
+    return float(np.mean(_maxima(image, np.median(image) + above, sigma_px)) * 4 * np.pi * sigma_px**2)
 
 
 def _maxima(

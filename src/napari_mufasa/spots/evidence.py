@@ -19,8 +19,8 @@ from scipy import ndimage
 from napari_mufasa.camera.frames import Frames, Stack
 from napari_mufasa.spots.crowding import Between
 from napari_mufasa.spots.filters import Image, border_noise, lower_spread, spot_filter
+from napari_mufasa.spots.times import MIDDLE, short_block
 
-SHORT_BLOCKS = 200  # at most this many short blocks per movie: bounds the time detection takes
 TILE = 16  # px; the noise is the same within a tile
 
 
@@ -79,7 +79,7 @@ def search(
         late += filtered[np.count_nonzero(first + block <= frames.n_frames * 4 / 5) :].sum(axis=0)
         filtered = np.concatenate([recent, filtered]) if len(recent) else filtered
         kernels.take_in(filtered, len(recent), total, steps, shortest, middle)
-        recent = filtered[-(kernels.MIDDLE - 1) :]
+        recent = filtered[-(MIDDLE - 1) :]
         n_blocks += len(first)
     whole = (total / n_blocks).astype(np.float32)
     if n_blocks < 3:  # too short for differences in time: noise from the spread in space
@@ -89,39 +89,14 @@ def search(
     noise *= border_noise((shape[0], shape[1]), sigma_px)
     noise = np.maximum(noise, np.float32(1e-12))
     best = shortest / noise
-    if n_blocks >= kernels.MIDDLE:
-        best = np.maximum(best, middle / (noise / np.float32(np.sqrt(kernels.MIDDLE))))
+    if n_blocks >= MIDDLE:
+        best = np.maximum(best, middle / (noise / np.float32(np.sqrt(MIDDLE))))
     whole_noise = noise / np.float32(np.sqrt(n_blocks))
     # Static structure that is no molecule (uneven light, fixed pattern) limits the long average.
     between = Between.of(whole, whole_noise, sigma_px)
-    limited = np.maximum(whole_noise, np.float32(between.spread(whole)))
+    limited = np.maximum(whole_noise, np.float32(between.of_mean))
     image = np.maximum(best, whole / limited)
     return Evidence(image, np.maximum(best, whole / whole_noise), early, late, between.spread(image))
-
-
-def short_block(n_frames: int, asked: int | None = None) -> int:
-    """Frames of a short block."""
-    return min(asked or max(1, -(-n_frames // SHORT_BLOCKS)), n_frames)
-
-
-def frames_needed(
-    significance: NDArray[np.floating], lit_frames: NDArray[np.integer], n_frames: int, level: float,
-    block: int | None = None,
-) -> NDArray[np.float64]:  # fmt: skip
-    """In how many frames (spot,) each spot would have had to be lit to come to a `level` of evidence, from how many it
-    was and its significance.
-
-    Of a mean over T frames, n of them lit, the evidence is min(n, T)/√T of that of a single lit frame; the best of the
-    three T counts.
-    """
-    from napari_mufasa.spots.kernels import MIDDLE
-
-    short = short_block(n_frames, block)
-    scales = np.minimum([short, MIDDLE * short, n_frames], n_frames).astype(np.float64)
-    lit = np.maximum(np.asarray(lit_frames, dtype=np.float64), 1.0)[:, None]
-    single = significance / (np.minimum(lit, scales) / np.sqrt(scales)).max(axis=1)
-    needed = level * np.sqrt(scales) / np.maximum(single, 1e-12)[:, None]
-    return np.asarray(np.where(needed > scales, n_frames, needed).min(axis=1))
 
 
 @dataclass(frozen=True)

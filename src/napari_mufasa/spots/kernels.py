@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from napari_mufasa.compiled import inlined, vectorised
+from napari_mufasa.spots.times import MIDDLE
 
-MIDDLE = 5  # short blocks in a middle block
 TERMS = 7  # of the Taylor series of a spot, and a constant
 
 
