@@ -20,6 +20,9 @@ from napari_mufasa.observe import photoelectrons_per_adu
 
 REACH = 2.5  # how many widths of its prior a value may move
 PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the nearest: none of them is a chance of e⁻⁴
+EXCEPTIONS = (
+    0.15  # of these pairs may be nearer all the same; where spots merge a finder misses half of those at random
+)
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,7 @@ def spaced(model: Model, positions_px: NDArray[np.float64], area_px2: float) -> 
     nearest = np.sort(pdist(positions_px))[exceptions] ** 2
     missed = np.maximum(pairs_per_px2 * (nearest - 8 * model.sigma_px**2), 0.0)
     by_chance = poisson.logcdf(exceptions, missed) + PAIRS_MISSED * (exceptions > 0)
+    by_chance[exceptions > EXCEPTIONS * missed] = 0.0
     fewest = int(np.argmin(by_chance))
     if by_chance[fewest] > -PAIRS_MISSED:
         return model
