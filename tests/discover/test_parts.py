@@ -518,7 +518,7 @@ def test_molecules_at_random_are_not_called_spaced(n):
 
 
 def test_where_spots_at_random_merge_they_are_not_called_spaced():
-    # Between 3.6 px and 5.3 px hardly half of the pairs are found as two: what is missed is the finder's, not the layout's.
+    # Between 3.6 px and 5.3 px hardly half of the pairs are found as two: the finder misses the rest.
     model = nm.Model.from_dict(MODEL).with_values({"sample.n_molecules": 300, "acquisition.n_frames": 100})
     for seed in range(4):
         spots = observe(SimulatedAcquisition(model, seed=100 + seed).movie(), model).spots
