@@ -94,12 +94,13 @@ _FURTHER: dict[str, tuple[str, dict[str, Any]]] = {
             "excitation": {"power_density_w_per_cm2": 100, "activation_rate_per_s": 0.2},
         },
     ),
+    "emccd_sparse": ("emccd", {}),
+    "emccd_crowded": ("emccd", {}),
 }
-PROTOCOLS = (
-    "emccd_blinking",
-    "emccd_storm",
-    "emccd_palm",
-)  # molecules that are not lit from the start, or not for long
+# Molecules that are not lit from the start, or not for long; 15 and 180 on the field where others have 50.
+PROTOCOLS = ("emccd_blinking", "emccd_storm", "emccd_palm")
+DENSITIES = ("emccd_sparse", "emccd_crowded")
+APART = PROTOCOLS + DENSITIES  # those for whose molecules the generator's strengths are not made
 
 
 def base_model(name: str = "emccd") -> Believed:
@@ -155,7 +156,7 @@ def base_model(name: str = "emccd") -> Believed:
 MOLECULES = {
     "emccd": 50, "emccd_bleach": 50, "emccd_short": 25, "cmos": 50, "ccd": 50, "cmos_bleach": 50, "ccd_bleach": 50,
     "emccd_small": 20, "emccd_dim": 90, "emccd_wide": 400, "cmos_bright": 35, "cmos_dim": 60, "ccd_wide": 140,
-    "emccd_blinking": 60, "emccd_storm": 250, "emccd_palm": 200,
+    "emccd_blinking": 60, "emccd_storm": 250, "emccd_palm": 200, "emccd_sparse": 15, "emccd_crowded": 180,
 }  # fmt: skip
 BASE_NAMES = tuple(MOLECULES)
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from . import forms
-from .bases import PROTOCOLS, base_model
+from .bases import APART, base_model
 
 Row = dict[str, Any]
 AT_FLOOR = 1.25  # floors
@@ -100,10 +100,10 @@ def beside(rows: Sequence[Row]) -> list[Line]:
     ]  # fmt: skip
 
 
-def lit_from_the_start(rows: Iterable[Row]) -> list[Row]:
+def made_for(rows: Iterable[Row]) -> list[Row]:
     """The rows of movies for whose molecules the generator's strengths are made: where each is lit but once, or
-    shortly, a drift of the stage or unequal brightness may show nothing."""
-    return [row for row in rows if row["base"] not in PROTOCOLS]
+    shortly, or where there are few, a drift of the stage or unequal brightness may show nothing."""
+    return [row for row in rows if row["base"] not in APART]
 
 
 # One movie ----------------------------------------------------------------------------------------------------

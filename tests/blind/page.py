@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
 from . import forms, judging
-from .bases import PROTOCOLS
+from .bases import APART
 from .cases import PLAN, trial_seed
 from .judging import Line, Row
 
@@ -26,8 +26,8 @@ GROUPS = {
 def page(rows: Sequence[Row], command: str) -> str:
     """docs/blind_trial.md: which command wrote it, from how much of a trial and which code, and the tables."""
     states = ", ".join(sorted({row["state"] for row in rows}))
-    others = [row for row in rows if row["base"] in PROTOCOLS]
-    rows = judging.lit_from_the_start(rows)
+    others = [row for row in rows if row["base"] in APART]
+    rows = judging.made_for(rows)
     return f"""# Blind trial
 
 `{command}` wrote this page, from rows of `python -m tests.blind.trial`; a row is one movie of the independent
@@ -55,15 +55,15 @@ Of known forms, where a parameter means the same in generator and catalogue and 
 
 
 def _apart(rows: Sequence[Row]) -> str:
-    """The section of movies whose molecules are not lit from the start, or not for long."""
+    """The section of movies for whose molecules the generator's strengths are not made."""
     return f"""
-## Blinking, STORM and PALM
+## Blinking, STORM and PALM, few molecules and many
 
-Counted apart: the generator's strengths are those of molecules that are lit all along. Where each is lit but shortly,
-or once, a drift of the stage or unequal brightness may show nothing; what the report says it would have seen is held
-against that. {how_many(rows)}
+Counted apart: the generator's strengths are those of some fifty molecules that are lit all along. Where each is lit
+but shortly, or once, or where there are but 15, a drift of the stage or unequal brightness may show nothing; what the
+report says it would have seen is held against that. Of the 180 molecules on 96 × 96 pixels some merge. {how_many(rows)}
 
-{_protocols(rows)}
+{_other_fields(rows)}
 {_each_effect(rows)}"""
 
 
@@ -122,13 +122,13 @@ def _bases(rows: Sequence[Row]) -> str:
     return _table(table)
 
 
-def _protocols(rows: Sequence[Row]) -> str:
+def _other_fields(rows: Sequence[Row]) -> str:
     """How it went on each of their bases."""
     table = [[
         "base", "nothing hidden: adequate", "one effect: exactly right", "a wrong name", "nothing named",
         "… within 1.5 × the strength said to be seen", f"error after ≤ {judging.AT_FLOOR} floors", "crashed",
     ]]  # fmt: skip
-    for base in PROTOCOLS:
+    for base in APART:
         mine = [row for row in rows if row["base"] == base]
         single = judging.group(mine, "single")
         missed = [row for row in single if not row["chosen"] and not judging.crashed(row)]
@@ -183,7 +183,7 @@ def _plan(rows: Sequence[Row]) -> dict[str, int]:
     bases that are in no plan, for each of them."""
     told: dict[tuple[int, str], Counter[str]] = defaultdict(Counter)
     for row in rows:
-        told[trial_seed(row), row["base"] if row["base"] in PROTOCOLS else ""] |= Counter(row["plan"])
+        told[trial_seed(row), row["base"] if row["base"] in APART else ""] |= Counter(row["plan"])
     every = sum(told.values(), Counter[str]())
     return {name: every[name] for name in PLAN if every[name]}
 
