@@ -22,7 +22,7 @@ from tests.blind.trial import ROWS, once
 
 def main() -> None:
     given = arguments(__doc__)
-    rows = judging.lit_from_the_start(once(running.read(ROWS)))
+    rows = judging.made_for(once(running.read(ROWS)))
     lines = [line for line in judging.asked(rows) if line.of]
     at = range(len(lines))
     shares = [100 * line.hits / line.of for line in lines]
