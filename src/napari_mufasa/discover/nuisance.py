@@ -20,9 +20,7 @@ from napari_mufasa.observe import photoelectrons_per_adu
 
 REACH = 2.5  # how many widths of its prior a value may move
 PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the nearest: none of them is a chance of e⁻⁴
-EXCEPTIONS = (
-    0.15  # of these pairs may be nearer all the same; where spots merge a finder misses half of those at random
-)
+EXCEPTIONS = 0.15  # of these pairs may be nearer all the same; at random a finder misses half where spots merge
 
 
 @dataclass(frozen=True)
