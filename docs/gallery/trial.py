@@ -22,7 +22,7 @@ from tests.blind.trial import ROWS, once
 
 def main() -> None:
     given = arguments(__doc__)
-    rows = judging.made_for(once(running.read(ROWS)))
+    rows = judging.of_planned_bases(once(running.read(ROWS)))
     lines = [line for line in judging.asked(rows) if line.of]
     at = range(len(lines))
     shares = [100 * line.hits / line.of for line in lines]

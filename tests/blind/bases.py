@@ -97,10 +97,9 @@ _FURTHER: dict[str, tuple[str, dict[str, Any]]] = {
     "emccd_sparse": ("emccd", {}),
     "emccd_crowded": ("emccd", {}),
 }
-# Molecules that are not lit from the start, or not for long; 15 and 180 on the field where others have 50.
-PROTOCOLS = ("emccd_blinking", "emccd_storm", "emccd_palm")
-DENSITIES = ("emccd_sparse", "emccd_crowded")
-APART = PROTOCOLS + DENSITIES  # those for whose molecules the generator's strengths are not made
+PROTOCOLS = ("emccd_blinking", "emccd_storm", "emccd_palm")  # molecules that are lit late, or not for long
+DENSITIES = ("emccd_sparse", "emccd_crowded")  # 15 and 180 molecules where others have 50
+APART = PROTOCOLS + DENSITIES  # in no plan: the generator's strengths are not made for them
 
 
 def base_model(name: str = "emccd") -> Believed:

@@ -100,7 +100,7 @@ def beside(rows: Sequence[Row]) -> list[Line]:
     ]  # fmt: skip
 
 
-def made_for(rows: Iterable[Row]) -> list[Row]:
+def of_planned_bases(rows: Iterable[Row]) -> list[Row]:
     """The rows of movies for whose molecules the generator's strengths are made: where each is lit but once, or
     shortly, or where there are few, a drift of the stage or unequal brightness may show nothing."""
     return [row for row in rows if row["base"] not in APART]

@@ -27,7 +27,7 @@ def page(rows: Sequence[Row], command: str) -> str:
     """docs/blind_trial.md: which command wrote it, from how much of a trial and which code, and the tables."""
     states = ", ".join(sorted({row["state"] for row in rows}))
     others = [row for row in rows if row["base"] in APART]
-    rows = judging.made_for(rows)
+    rows = judging.of_planned_bases(rows)
     return f"""# Blind trial
 
 `{command}` wrote this page, from rows of `python -m tests.blind.trial`; a row is one movie of the independent

@@ -162,7 +162,7 @@ def test_movies_of_other_protocols_are_counted_apart():
     others[single[1]] |= {"chosen": [], "detectable": {others[single[1]]["effects"][0][0]: None}}
     text = written(lit + others, "command")
     assert "Blinking, STORM and PALM" not in written(lit, "command")
-    assert summary(lit) in text and judging.made_for(lit + others) == lit
+    assert summary(lit) in text and judging.of_planned_bases(lit + others) == lit
     assert "| `emccd_storm` | 2 / 2 | 2 / 4 | 1 / 4 | 1 / 4 | 1 / 1 | 4 / 4 | 0 / 6 |" in text
     assert "| `emccd_storm` |" not in text.split("## Blinking, STORM and PALM")[0]
     palm = [row(case) | {"plan": {"single": 4}} for case in cases.planned({"single": 3}, 1, "emccd_palm")]
