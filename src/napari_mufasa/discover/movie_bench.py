@@ -123,7 +123,7 @@ class MovieBench(Bench[Observation]):
         model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
         for turn in range(MATCHING_ROUNDS):
             rows = self.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
-            model = nuisance.moment_step(model, measured, as_table(self.names, rows[:, 0].mean(axis=0)))
+            model = nuisance.moment_step(model, self.start, measured, as_table(self.names, rows[:, 0].mean(axis=0)))
         return model
 
     def read_off(self, kind: str, beside: Model | None = None, part: str = "all") -> dict[str, Any]:
