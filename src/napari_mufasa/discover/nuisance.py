@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.stats import poisson
 
+from napari_mufasa.discover.rules import CAMERA_OFF
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import photoelectrons_per_adu
 
 REACH = 2.5  # how many widths of its prior a value may move
 PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the nearest: none of them is a chance of e⁻⁴
-LEAST_LIGHT = 0.1  # of the variance of background pixels must be that of light, to tell the gain
+CAMERA = ("camera.electrons_per_adu", "camera.read_noise_e")
 EXCEPTIONS = 0.15  # of these pairs may be nearer all the same; at random a finder misses half where spots merge
 
 
@@ -138,46 +139,39 @@ def told(believed: Model, fitted: Model) -> str:
 
 
 def moment_step(model: Model, eyes: Model, measured: Mapping[str, float], simulated: Mapping[str, float]) -> Model:
-    """One round of matching by moments: brightness, width, density, baseline and background; where there are dark
-    frames, gain and read noise. Observables are in the units of the model believed (`eyes`)."""
+    """One round of matching by moments: brightness, width, density, baseline and background. Observables are in the
+    units of the model believed (`eyes`), from whose gain that of the model may differ."""
     seen, scale = photoelectrons_per_adu(eyes), photoelectrons_per_adu(model)
     factor = float(np.exp(np.clip(measured["level"] - simulated["level"], -1.5, 1.5)))
     width = model.sigma_px**2 + measured["spot_width_early"] - simulated["spot_width_early"]
     width_factor = np.sqrt(np.clip(width / model.sigma_px**2, 0.5, 2.0))
     spots = (measured["spots"] / max(simulated["spots"], 0.5)) ** 2
     surplus = measured["background"] - simulated["background"]  # photoelectrons, offset and light together
-    gain, read_noise = 1.0, model.camera.read_noise_e
     if "dark_mean" in measured:
         offset_adu = measured["dark_mean"] - simulated["dark_mean"]
-        gain = _variance_per_light(simulated, seen) / _variance_per_light(measured, seen)
-        gain = float(np.clip(gain, 0.5, 2.0)) if np.isfinite(gain) and gain > 0 else 1.0
-        more_adu = (np.exp(measured["dark_variance"]) - np.exp(simulated["dark_variance"])) / seen**2
-        squared = read_noise**2 + more_adu * model.camera.electrons_per_adu**2
-        read_noise = gain * float(np.sqrt(max(squared, 0.25 * read_noise**2)))
     else:  # light brings variance, an offset does not
         more_variance = np.exp(measured["background_variance"]) - np.exp(simulated["background_variance"])
-        alpha = 2.0 if model.camera.type == "EMCCD" else 1.0
+        alpha = (2.0 if model.camera.type == "EMCCD" else 1.0) * seen / scale
         offset_adu = (surplus - more_variance / alpha) / seen
     light = (surplus - offset_adu * seen) * scale / seen / model.camera.quantum_efficiency
     return model.with_values(
         {
-            "optics.brightness_correction": model.optics.brightness_correction * factor * gain,
+            "optics.brightness_correction": model.optics.brightness_correction * factor,
             "optics.psf_fwhm_nm": model.optics.psf_fwhm_nm * float(width_factor),
-            "optics.background_photons_per_px": max((model.optics.background_photons_per_px + light) * gain, 0.0),
+            "optics.background_photons_per_px": max(model.optics.background_photons_per_px + light, 0.0),
             "camera.baseline_adu": max(model.camera.baseline_adu + offset_adu, 0.0),
-            "camera.electrons_per_adu": model.camera.electrons_per_adu * gain,
-            "camera.read_noise_e": read_noise,
             "sample.n_molecules": _that_fit(model, model.sample.n_molecules * np.clip(spots, 0.2, 5)),
         }
     )
 
 
-def _variance_per_light(shown: Mapping[str, float], photoelectrons_per_adu: float) -> float:
-    """Variance that light brings to a pixel of the background, over its mean: what an electron counts for (Janesick,
-    Photon Transfer, 2007). NaN where there is too little light to tell."""
-    variance, dark = np.exp(shown["background_variance"]), np.exp(shown["dark_variance"])
-    light = shown["background"] - shown["dark_mean"] * photoelectrons_per_adu
-    return float((variance - dark) / light) if light > 0 and variance - dark > LEAST_LIGHT * variance else np.nan
+def camera_at(model: Model, values: Sequence[Nuisance], by: Iterable[float]) -> Model:
+    """The model with the gain and read noise of its camera moved by `by` (one per value) where they are far off, all
+    values else as they are; itself where none of them is."""
+    far = [
+        step if value.path in CAMERA and abs(step) > CAMERA_OFF else 0.0 for value, step in zip(values, by, strict=True)
+    ]
+    return apply(model, values, far) if any(far) else model
 
 
 def _that_fit(model: Model, n: float) -> int:

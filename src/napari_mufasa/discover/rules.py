@@ -49,6 +49,7 @@ FORM_WORTH = 0.2  # of the best form's evidence: another form of an effect is tr
 NEARER = 0.97  # of the misfit: simulations of where a step downhill leads confirm it
 PROMISED = 2.0  # −2 log likelihood: a step downhill of which the slopes promise less is not worth its simulations
 LINEAR = 0.4  # log units or quarters of the range: as far about as a model is linear in a parameter
+CAMERA_OFF = 0.1  # log units: a gain or read noise so far off is set right before anything else is looked at
 DEEPER = 0.9  # of the misfit: a place further downhill is worth derivatives, and the simulations of its neighbourhood
 
 # The budget of simulations ----------------------------------------------------------------------------------
@@ -57,6 +58,7 @@ BUDGET_VALUES = 23_000_000_000  # … and pixels times frames, dark ones too, of
 AT_ONCE = 4  # effects taken up together
 DESCENTS = 4  # steps downhill, each with derivatives of its own
 BASE_SIMULATIONS = 60  # of a model: its mean, spread and correlations
+CAMERA_ROUNDS = 2  # … anew where the camera is set right
 CHECK_SIMULATIONS = 12  # of fresh seeds, which none of these has seen
 UNREAD = 3  # with what one half of the field shows directly, each beside its twin with what the whole shows
 RAYS = 4  # settings of each effect, and one for each of its shape parameters

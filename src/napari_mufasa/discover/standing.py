@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from napari_mufasa.discover import library
+from napari_mufasa.discover import library, nuisance
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.result import Candidate
-from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, START, TELLING
+from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_ROUNDS, START, TELLING
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.state import State
 from napari_mufasa.model.model import Model
@@ -39,12 +39,25 @@ class Standing:
         self.ranking: list[Candidate] = []
 
     def examine(self) -> None:
-        """Fit the nuisance values, simulate the neighbourhood of the model and of every effect."""
+        """Fit the nuisance values, the camera first, simulate the neighbourhood of the model and of every effect."""
         bench = self.bench
         n_free = len(bench.free_values(bench.start))
         bench.plan(bench.matching_simulations + library.expected_simulations(self.kinds, n_free, bench.start))
-        near = library.build(bench, bench.matched(bench.start), self.kinds)
+        near = library.with_rays(self._with_its_camera(), self.kinds)
         self.stands = [Stand(near, (), bench.x, Null.of(*near.null_distribution()), near.base)]
+
+    def _with_its_camera(self) -> library.Library:
+        """The neighbourhood of the model believed, its nuisance values matched, the camera's gain and read noise where
+        all observables together put them: where these are far off, slopes say too little of the rest."""
+        bench = self.bench
+        near = library.build(bench, bench.matched(bench.start), ())
+        for _ in range(CAMERA_ROUNDS):
+            here = near.base
+            model = nuisance.camera_at(here.model, here.values, here.adjusted(bench.x).moves)
+            if model is here.model:
+                break
+            near = library.build(bench, bench.matched(model), ())
+        return near
 
     @property
     def first(self) -> Stand:
