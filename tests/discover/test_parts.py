@@ -20,7 +20,7 @@ from napari_mufasa.discover.rules import ALARM, FORM_ERROR
 from napari_mufasa.discover.stand import Stand, Worth
 from napari_mufasa.discover.state import Ray, State, scaled, two_sided
 from napari_mufasa.effects import catalogue, effect_class
-from napari_mufasa.observe import PARTS, observe
+from napari_mufasa.observe import PARTS, observe, photoelectrons_per_adu
 from napari_mufasa.simulate.layout import scatter
 from napari_mufasa.simulate.movie import SimulatedAcquisition
 
@@ -540,6 +540,40 @@ def test_what_became_of_the_values_believed_is_told():
     fitted = model.with_values({"optics.psf_fwhm_nm": 306.9, "sample.min_distance_px": 4.8})
     assert nuisance.told(model, fitted) == "optics.psf_fwhm_nm 280 → 307, sample.min_distance_px 0 → 4.8"
     assert nuisance.told(model, model) == ""
+
+
+def test_a_camera_that_is_far_off_is_told_and_set_right_and_one_that_is_near_is_left():
+    model = nm.preset("FF")
+    values, camera = nuisance.nuisances(model), model.camera
+    by = {"camera.electrons_per_adu": -0.2, "camera.read_noise_e": 0.05, "optics.brightness_correction": 0.3}
+    there = nuisance.camera_at(model, values, [by.get(n.path, 0.0) for n in values])
+    assert there.camera.electrons_per_adu == pytest.approx(camera.electrons_per_adu * np.exp(-0.2))
+    assert there.with_values({"camera.electrons_per_adu": camera.electrons_per_adu}) == model  # nothing else
+    near = [0.5 * nuisance.CAMERA_OFF if n.path in nuisance.CAMERA else 1.0 for n in values]
+    assert nuisance.camera_at(model, values, near) is model
+    before, after = (f"{m.camera.electrons_per_adu:.3g}" for m in (model, there))
+    assert nuisance.camera_told(model, there) == f"camera.electrons_per_adu {before} → {after}"
+    assert nuisance.camera_told(model, nuisance.apply(model, values, near)) == ""
+
+
+@pytest.mark.parametrize("with_dark", [True, False])
+def test_moments_are_light_whatever_gain_the_movie_is_seen_with(with_dark):
+    """A camera of twice the gain believed, its true background 10 photons brighter than that of the model, its baseline
+    3 ADU higher: one round finds both. Seen by the gain believed an electron counts twice."""
+    eyes = nm.preset("FF").with_values({"camera.type": "EMCCD"})
+    per_adu, efficiency = photoelectrons_per_adu(eyes), eyes.camera.quantum_efficiency
+    model = eyes.with_values({"camera.electrons_per_adu": eyes.camera.electrons_per_adu / 2})
+    light, noise = efficiency * np.array([model.optics.background_photons_per_px, 10.0]).cumsum(), 0.5  # e⁻, variance
+
+    def shown(electrons, offset_adu):
+        seen = {"level": 0.0, "spot_width_early": 0.0, "spots": 3.0, "background": 2 * electrons + offset_adu * per_adu}
+        seen["background_variance"] = np.log(4 * (2 * electrons + noise))  # F² = 2
+        return seen | ({"dark_mean": offset_adu} if with_dark else {})
+
+    there = nuisance.moment_step(model, eyes, shown(light[1], 3.0), shown(light[0], 0.0))
+    assert there.optics.background_photons_per_px == pytest.approx(model.optics.background_photons_per_px + 10)
+    assert there.camera.baseline_adu == pytest.approx(model.camera.baseline_adu + 3)
+    assert there.camera.electrons_per_adu == model.camera.electrons_per_adu  # left to all observables together
 
 
 def test_preparation_crops_large_movies_and_says_so():

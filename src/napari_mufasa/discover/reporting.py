@@ -200,6 +200,8 @@ def _notes(inquiry: Standing, verdict: Verdict, cut_short: bool, table: pd.DataF
     notes = []
     if changes := nuisance.told(inquiry.believed, completed):
         notes.append(f"Values of the model fitted beside the effects: {changes}.")
+    if far := nuisance.camera_told(inquiry.believed, completed):
+        notes.append(f"The movie contradicts the camera believed ({far}): measure it (`napari-mufasa calibrate`).")
     if completed.effects_refer_to is not None:
         notes.append(
             "Values of the effects speak of the part looked at; the completed model carries their laws beyond it."

@@ -43,21 +43,28 @@ class Standing:
         bench = self.bench
         n_free = len(bench.free_values(bench.start))
         bench.plan(bench.matching_simulations + library.expected_simulations(self.kinds, n_free, bench.start))
-        near = library.with_rays(self._with_its_camera(), self.kinds)
+        near = self._with_its_camera()
+        near = library.with_rays(near, [kind for kind in self.kinds if kind not in near.rays])
         self.stands = [Stand(near, (), bench.x, Null.of(*near.null_distribution()), near.base)]
 
     def _with_its_camera(self) -> library.Library:
-        """The neighbourhood of the model believed, its nuisance values matched, the camera's gain and read noise where
-        all observables together put them: where these are far off, slopes say too little of the rest."""
-        bench = self.bench
-        near = library.build(bench, bench.matched(bench.start), ())
+        """The neighbourhood of the model believed, its nuisance values matched, and gain and read noise of its camera
+        set right where all observables together put them far off: slopes say too little from there. The camera is
+        left as it is believed where, set right, it would leave counts more or less skewed than its law has them: then
+        the noise of its register is not what is believed."""
+        bench, x = self.bench, self.bench.x
+        near = believed = library.build(bench, bench.matched(bench.start), ())
         for _ in range(CAMERA_ROUNDS):
-            here = near.base
-            model = nuisance.camera_at(here.model, here.values, here.adjusted(bench.x).moves)
-            if model is here.model:
+            free = near.base.free_of_data_sheets()
+            model = nuisance.camera_at(free.model, free.values, free.adjusted(x).moves)
+            if model is free.model:
                 break
             near = library.build(bench, bench.matched(model), ())
-        return near
+        if near is believed or nuisance.LIKE_GAIN not in self.kinds:
+            return near
+        near = library.with_rays(near, [nuisance.LIKE_GAIN])
+        lead = near.base.screen(x, near.rays)[nuisance.LIKE_GAIN][0]
+        return believed if lead.gain > Null.of(*near.null_distribution()).needed(nuisance.LIKE_GAIN) else near
 
     @property
     def first(self) -> Stand:
