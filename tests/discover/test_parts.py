@@ -544,7 +544,7 @@ def test_what_became_of_the_values_believed_is_told():
 
 def test_a_camera_that_is_far_off_is_told_and_set_right_and_one_that_is_near_is_left():
     model = nm.preset("FF")
-    values, camera = nuisance.nuisances(model), model.camera
+    values, camera = nuisance.off_data_sheet(nuisance.nuisances(model)), model.camera
     by = {"camera.electrons_per_adu": -0.2, "camera.read_noise_e": 0.05, "optics.brightness_correction": 0.3}
     there = nuisance.camera_at(model, values, [by.get(n.path, 0.0) for n in values])
     assert there.camera.electrons_per_adu == pytest.approx(camera.electrons_per_adu * np.exp(-0.2))

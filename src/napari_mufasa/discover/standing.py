@@ -9,9 +9,10 @@ from napari_mufasa.discover import library, nuisance
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.result import Candidate
-from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_ROUNDS, START, TELLING
+from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_ROUNDS, NEAR, START, TELLING
 from napari_mufasa.discover.stand import Stand
-from napari_mufasa.discover.state import State
+from napari_mufasa.discover.start import started
+from napari_mufasa.discover.state import Array, State
 from napari_mufasa.model.model import Model
 
 
@@ -49,22 +50,20 @@ class Standing:
 
     def _with_its_camera(self) -> library.Library:
         """The neighbourhood of the model believed, its nuisance values matched, and gain and read noise of its camera
-        set right where all observables together put them far off: slopes say too little from there. The camera is
-        left as it is believed where, set right, it would leave counts more or less skewed than its law has them: then
-        the noise of its register is not what is believed."""
-        bench, x = self.bench, self.bench.x
+        set right where all observables together put them far off: slopes say too little from there. The camera is left
+        as it is believed where it is its register's noise that is not what is believed."""
+        bench = self.bench
         near = believed = library.build(bench, bench.matched(bench.start), ())
         for _ in range(CAMERA_ROUNDS):
             free = near.base.free_of_data_sheets()
-            model = nuisance.camera_at(free.model, free.values, free.adjusted(x).moves)
+            model = nuisance.camera_at(free.model, free.values, free.adjusted(bench.x).moves)
             if model is free.model:
                 break
             near = library.build(bench, bench.matched(model), ())
         if near is believed or nuisance.LIKE_GAIN not in self.kinds:
             return near
-        near = library.with_rays(near, [nuisance.LIKE_GAIN])
-        lead = near.base.screen(x, near.rays)[nuisance.LIKE_GAIN][0]
-        return believed if lead.gain > Null.of(*near.null_distribution()).needed(nuisance.LIKE_GAIN) else near
+        near, believed = (library.with_rays(each, [nuisance.LIKE_GAIN]) for each in (near, believed))
+        return believed if _is_register(near, believed, bench.x) else near
 
     @property
     def first(self) -> Stand:
@@ -135,3 +134,17 @@ class Standing:
                 )
             )
         return found
+
+
+def _is_register(near: library.Library, believed: library.Library, x: Array) -> bool:
+    """Is it not the gain, set right in `near`, but the excess noise of the register that is not as it was `believed`?
+    Both change the variance alike, but not how skewed counts are: the right gain leaves nothing of the other. Where it
+    is far off for other reasons, the likelier one is right."""
+    kind = nuisance.LIKE_GAIN
+    left = near.base.screen(x, near.rays)[kind][0].gain
+    if left < Null.of(*near.null_distribution()).needed(kind):
+        return False
+    if not near.base.far_off(x):
+        return True
+    noisier = started(believed, believed.base, believed.base.screen(x, believed.rays)[kind], x)
+    return noisier.score(x) < near.base.score(x) - NEAR
