@@ -53,8 +53,8 @@ def in_fading_light(rival="photobleaching"):
 @pytest.mark.parametrize("believed", ["EMCCD", "CMOS"])
 @pytest.mark.parametrize("with_dark", [True, False])
 def test_a_camera_believed_wrongly_is_set_right_and_nothing_is_missing(believed, with_dark):
-    """Gain and read noise a third off: far more than a data sheet errs, and what a register ages by. Without dark frames
-    an offset has a part in what light there is, and gain and light make up for one another."""
+    """Gain and read noise a third off: far more than a data sheet errs, and what a register ages by. Without dark
+    frames an offset has a part in what light there is, and gain and light make up for one another."""
     values = {"EMCCD": {}, "CMOS": {"camera.em_gain": 1.0, "camera.electrons_per_adu": 0.5, "camera.read_noise_e": 1.6}}
     model = small().with_values({"camera.type": believed, "acquisition.n_frames": 100, **values[believed]})
     truth = model.with_values(

@@ -138,13 +138,12 @@ class Standing:
 
 def _is_register(near: library.Library, believed: library.Library, x: Array) -> bool:
     """Is it not the gain, set right in `near`, but the excess noise of the register that is not as it was `believed`?
-    Both change the variance alike, but not how skewed counts are: the right gain leaves nothing of the other. Where it
-    is far off for other reasons, the likelier one is right."""
-    kind = nuisance.LIKE_GAIN
-    left = near.base.screen(x, near.rays)[kind][0].gain
-    if left < Null.of(*near.null_distribution()).needed(kind):
+    Both change the variance alike, but not how skewed counts are: the right gain leaves nothing of the other. Where
+    much else is wrong, what it leaves is to be as from the model believed, more or less noise, and likelier there."""
+    there, here = (each.base.screen(x, each.rays)[nuisance.LIKE_GAIN] for each in (near, believed))
+    if there[0].gain < Null.of(*near.null_distribution()).needed(nuisance.LIKE_GAIN):
         return False
     if not near.base.far_off(x):
         return True
-    noisier = started(believed, believed.base, believed.base.screen(x, believed.rays)[kind], x)
-    return noisier.score(x) < near.base.score(x) - NEAR
+    noisier = started(believed, believed.base, here, x)
+    return there[0].rises == here[0].rises and noisier.score(x) < near.base.score(x) - NEAR

@@ -48,6 +48,12 @@ class Lead:
         return abs(self.scale) == max(SCALES)
 
     @property
+    def rises(self) -> bool:
+        """Whether the effect's strength is above that of none of it."""
+        effect = self.ray.effect
+        return self.scale * (float(getattr(effect, effect.strength)) - self.ray.none) > 0
+
+    @property
     def shift(self) -> Array:
         """What it does to the observables (part, observable)."""
         return self.scale * self.ray.shift
