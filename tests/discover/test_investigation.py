@@ -50,45 +50,6 @@ def in_fading_light(rival="photobleaching"):
     return Investigation(movie, model, nm.simulate_dark(truth, 20, 6), seed=2, effects=kinds)
 
 
-@pytest.mark.parametrize("believed", ["EMCCD", "CMOS"])
-@pytest.mark.parametrize("with_dark", [True, False])
-def test_a_camera_believed_wrongly_is_set_right_and_nothing_is_missing(believed, with_dark):
-    """Gain and read noise a third off: far more than a data sheet errs, and what a register ages by. Without dark
-    frames an offset has a part in what light there is, and gain and light make up for one another."""
-    values = {"EMCCD": {}, "CMOS": {"camera.em_gain": 1.0, "camera.electrons_per_adu": 0.5, "camera.read_noise_e": 1.6}}
-    model = small().with_values({"camera.type": believed, "acquisition.n_frames": 100, **values[believed]})
-    truth = model.with_values(
-        {
-            "camera.electrons_per_adu": model.camera.electrons_per_adu * 1.35,
-            "camera.read_noise_e": model.camera.read_noise_e * 1.35 * 1.3,
-        }
-    )
-    dark = nm.simulate_dark(truth, 40, 6) if with_dark else None
-    inquiry = Investigation(nm.simulate(truth, seed=7).movie, model, dark, seed=2, effects=["em_excess_noise"])
-    report = play(inquiry, None)
-    assert report.verdict == "adequate" and report.chosen == []
-    found, right = report.model.camera, truth.camera
-    if with_dark:
-        assert found.electrons_per_adu == pytest.approx(right.electrons_per_adu, rel=0.05)
-        assert found.read_noise_e == pytest.approx(right.read_noise_e, rel=0.1)
-        assert any("contradicts the camera believed (camera.electrons_per_adu" in note for note in report.notes)
-
-
-@pytest.mark.parametrize("hidden, named", [(1.3, ["em_excess_noise"]), (None, [])])
-def test_a_register_with_other_noise_is_not_taken_for_another_gain_nor_the_other_way_round(hidden, named):
-    """A third less variance for the same light, either way; counts are less skewed where it is the register's."""
-    model = small().with_values({"acquisition.n_frames": 100})
-    other = effect_class("em_excess_noise")(excess_noise_factor=hidden) if hidden else None
-    gain = model.camera.electrons_per_adu * 2 / 1.3
-    truth = model.with_effects(other) if other else model.with_values({"camera.electrons_per_adu": gain})
-    movie, dark = nm.simulate(truth, seed=7).movie, nm.simulate_dark(truth, 40, 6)
-    inquiry = Investigation(movie, model, dark, seed=2, effects=["em_excess_noise", "detector_saturation"])
-    report = play(inquiry, None)
-    assert report.chosen == named
-    right = model.camera.electrons_per_adu if named else gain
-    assert report.model.camera.electrons_per_adu == pytest.approx(right, rel=0.08)
-
-
 @pytest.fixture(scope="module")
 def inquiry():
     inquiry = investigation()

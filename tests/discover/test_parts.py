@@ -542,20 +542,6 @@ def test_what_became_of_the_values_believed_is_told():
     assert nuisance.told(model, model) == ""
 
 
-def test_a_camera_that_is_far_off_is_told_and_set_right_and_one_that_is_near_is_left():
-    model = nm.preset("FF")
-    values, camera = nuisance.off_data_sheet(nuisance.nuisances(model)), model.camera
-    by = {"camera.electrons_per_adu": -0.2, "camera.read_noise_e": 0.05, "optics.brightness_correction": 0.3}
-    there = nuisance.camera_at(model, values, [by.get(n.path, 0.0) for n in values])
-    assert there.camera.electrons_per_adu == pytest.approx(camera.electrons_per_adu * np.exp(-0.2))
-    assert there.with_values({"camera.electrons_per_adu": camera.electrons_per_adu}) == model  # nothing else
-    near = [0.5 * nuisance.CAMERA_OFF if n.path in nuisance.CAMERA else 1.0 for n in values]
-    assert nuisance.camera_at(model, values, near) is model
-    before, after = (f"{m.camera.electrons_per_adu:.3g}" for m in (model, there))
-    assert nuisance.camera_told(model, there) == f"camera.electrons_per_adu {before} → {after}"
-    assert nuisance.camera_told(model, nuisance.apply(model, values, near)) == ""
-
-
 @pytest.mark.parametrize("with_dark", [True, False])
 def test_moments_are_light_whatever_gain_the_movie_is_seen_with(with_dark):
     """A camera of twice the gain believed, its true background 10 photons brighter than that of the model, its baseline

@@ -125,6 +125,7 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         if inquiry.begin_afresh() or inquiry.stand.far_off:
             _one_way(inquiry)
         inquiry.stands = min(first_way, inquiry.stands, key=lambda stands: stands[-1].error)
+    inquiry.judge_camera()
     inquiry.prune()
     if inquiry.chosen and inquiry.stand.content:
         inquiry.exchange()

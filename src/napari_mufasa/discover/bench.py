@@ -55,12 +55,14 @@ class Bench(ABC, Generic[Seen]):
     x (part, observable) : its numbers, 0 where it shows none · notes : choices made, for the reader
     matching_simulations : how many simulations `matched` makes · is_cheap : whether simulations and matching take so
     little time that every effect tried has the values of the model matched beside it
+    shows_camera : whether pixels of the background are seen, which tell what the camera makes of light
     read_last : kinds of effects that are begun after others, for what is read off of them is what others leave
     gaps : observables that some simulation beside the base model did not show (see `Library.simulated`)
     """
 
     matching_simulations: int
     is_cheap = False
+    shows_camera = False
     read_last: frozenset[str] = frozenset()
 
     def __init__(

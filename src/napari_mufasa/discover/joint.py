@@ -87,6 +87,15 @@ def arrived(library: Library, x: Array, kinds: Sequence[str], most: int) -> Libr
     return None if there.model is here.model else seen_from(library, there.model, kinds)
 
 
+def from_elsewhere(
+    library: Library, state: State, model: Model, x: Array, kinds: Sequence[str], most: int, below: float
+) -> Library | None:  # fmt: skip
+    """The neighbourhood of where the state leads downhill from a model with other free values; None where the misfit
+    there is not `below` what it should be. Of simulations about `most` are spent."""
+    there = descended(library, state, model, x, most - _around(library, state, kinds), below)
+    return seen_from(library, there.model, kinds) if there.misfit(x) < below else None
+
+
 def seen_from(library: Library, model: Model, kinds: Sequence[str]) -> Library:
     """The neighbourhood of a model further on, its effects of `kinds` free, rays of those that it lacks (from this
     neighbourhood, where they are known)."""

@@ -74,6 +74,7 @@ class MovieBench(Bench[Observation]):
     """Simulates and observes movies, with dark frames where the measurement has some."""
 
     matching_simulations = 2 * MATCHING_ROUNDS
+    shows_camera = True
     read_last = READ_LAST
 
     def __init__(

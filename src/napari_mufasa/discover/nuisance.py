@@ -1,7 +1,8 @@
 """Nuisance values: what is re-fitted before anything is called missing (docs/discovery.md).
 
 Each is a coordinate with a natural step; 0 is where the model stands. Brightness, background, PSF width,
-baseline and density are free; gain and read noise may move only as far as data sheets are wrong.
+baseline and density are free; gain and read noise may move only as far as data sheets are wrong (those that are
+farther off are found first, `camera`).
 """
 
 from __future__ import annotations
@@ -15,15 +16,11 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.stats import poisson
 
-from napari_mufasa.discover.rules import CAMERA_OFF
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import photoelectrons_per_adu
 
 REACH = 2.5  # how many widths of its prior a value may move
 PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the nearest: none of them is a chance of e⁻⁴
-CAMERA = ("camera.electrons_per_adu", "camera.read_noise_e")
-OFF_DATA_SHEET = 0.12  # prior width of these where they may be farther off than data sheets err: a register ages
-LIKE_GAIN = "em_excess_noise"  # what a wrong gain looks like, but for the skewness of counts
 EXCEPTIONS = 0.15  # of these pairs may be nearer all the same; at random a finder misses half where spots merge
 
 
@@ -135,17 +132,7 @@ def spaced(model: Model, positions_px: NDArray[np.float64], area_px2: float) -> 
 
 def told(believed: Model, fitted: Model) -> str:
     """What became of the values believed, as a reader finds them in model.json: "optics.psf_fwhm_nm 280 → 307"."""
-    return _changes(believed, fitted, [*(nuisance.path for nuisance in nuisances(believed)), "sample.min_distance_px"])
-
-
-def camera_told(believed: Model, fitted: Model) -> str:
-    """The same of the camera's values that were believed far from where they are."""
-    present = [n.path for n in nuisances(believed) if n.path in CAMERA]
-    far = [path for path in present if abs(np.log(_get(fitted, path) / _get(believed, path))) > CAMERA_OFF]
-    return _changes(believed, fitted, far)
-
-
-def _changes(believed: Model, fitted: Model, paths: Iterable[str]) -> str:
+    paths = [nuisance.path for nuisance in nuisances(believed)] + ["sample.min_distance_px"]
     values = [(path, f"{_get(believed, path):.3g}", f"{_get(fitted, path):.3g}") for path in paths]
     return ", ".join(f"{path} {before} → {after}" for path, before, after in values if before != after)
 
@@ -175,18 +162,6 @@ def moment_step(model: Model, eyes: Model, measured: Mapping[str, float], simula
             "sample.n_molecules": _that_fit(model, model.sample.n_molecules * np.clip(spots, 0.2, 5)),
         }
     )
-
-
-def off_data_sheet(values: Iterable[Nuisance]) -> tuple[Nuisance, ...]:
-    """The values, those of the camera free to be farther off than data sheets err."""
-    return tuple(replace(n, prior=OFF_DATA_SHEET) if n.path in CAMERA else n for n in values)
-
-
-def camera_at(model: Model, values: Sequence[Nuisance], by: Iterable[float]) -> Model:
-    """The model with the gain and read noise of its camera moved by `by` (one per value) where they are far off, all
-    values else as they are; itself where none of them is."""
-    steps = [step if n.path in CAMERA and abs(step) > CAMERA_OFF else 0.0 for n, step in zip(values, by, strict=True)]
-    return apply(model, values, steps) if any(steps) else model
 
 
 def _that_fit(model: Model, n: float) -> int:

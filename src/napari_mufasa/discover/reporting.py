@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from napari_mufasa.discover import joint, nuisance
+from napari_mufasa.discover import camera, joint, nuisance
 from napari_mufasa.discover.metric import soften
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.discover.rules import CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
@@ -200,8 +200,8 @@ def _notes(inquiry: Standing, verdict: Verdict, cut_short: bool, table: pd.DataF
     notes = []
     if changes := nuisance.told(inquiry.believed, completed):
         notes.append(f"Values of the model fitted beside the effects: {changes}.")
-    if far := nuisance.camera_told(inquiry.believed, completed):
-        notes.append(f"The movie contradicts the camera believed ({far}): measure it (`napari-mufasa calibrate`).")
+    if inquiry.camera_is_off and (far := camera.contradicted(inquiry.believed, completed)):
+        notes.append(f"The movie contradicts the camera believed: {far}. Measure it (`napari-mufasa calibrate`).")
     if completed.effects_refer_to is not None:
         notes.append(
             "Values of the effects speak of the part looked at; the completed model carries their laws beyond it."

@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from napari_mufasa.discover import library, nuisance
+from napari_mufasa.discover import camera, library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.result import Candidate
-from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_ROUNDS, NEAR, START, TELLING
+from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_ROUNDS, START, TELLING
 from napari_mufasa.discover.stand import Stand
-from napari_mufasa.discover.start import started
-from napari_mufasa.discover.state import Array, State
+from napari_mufasa.discover.state import State
 from napari_mufasa.model.model import Model
 
 
@@ -23,6 +22,7 @@ class Standing:
     kinds : of effects considered · further : those considered where they leave the model far off its floor
     suspects : the only kinds that its user has asked for; () where the catalogue is searched
     ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent ·
+    camera_is_off : whether the camera is not as believed, before any effect is known
     reserve : those of them that are kept for later · most_effects : that are added (None: as many as earn their place)
     """
 
@@ -36,34 +36,36 @@ class Standing:
         self.budget = min(BUDGET, BUDGET_VALUES // bench.size) if budget is None else budget
         self.reserve = 0
         self.most_effects: int | None = None
+        self.camera_is_off = False
         self.stands: list[Stand] = []
         self.ranking: list[Candidate] = []
 
     def examine(self) -> None:
-        """Fit the nuisance values, the camera first, simulate the neighbourhood of the model and of every effect."""
+        """Match the nuisance values, set the camera right, simulate the neighbourhood of model and effects."""
         bench = self.bench
         n_free = len(bench.free_values(bench.start))
         bench.plan(bench.matching_simulations + library.expected_simulations(self.kinds, n_free, bench.start))
-        near = self._with_its_camera()
-        near = library.with_rays(near, [kind for kind in self.kinds if kind not in near.rays])
+        near = library.with_rays(self._with_its_camera(), self.kinds)
         self.stands = [Stand(near, (), bench.x, Null.of(*near.null_distribution()), near.base)]
 
     def _with_its_camera(self) -> library.Library:
         """The neighbourhood of the model believed, its nuisance values matched, and gain and read noise of its camera
-        set right where all observables together put them far off: slopes say too little from there. The camera is left
-        as it is believed where it is its register's noise that is not what is believed."""
+        set right where they are far off: slopes say too little from there. The camera is left as it is believed where
+        it is its register's noise that is not what is believed."""
         bench = self.bench
         near = believed = library.build(bench, bench.matched(bench.start), ())
-        for _ in range(CAMERA_ROUNDS):
-            free = near.base.free_of_data_sheets()
-            model = nuisance.camera_at(free.model, free.values, free.adjusted(bench.x).moves)
-            if model is free.model:
+        look = library.ray_simulations(self.kinds, bench.start) + START
+        again = bench.matching_simulations + library.expected_simulations([], len(near.base.free), bench.start)
+        for _ in range(CAMERA_ROUNDS if bench.shows_camera else 0):
+            model = camera.set_right(near.base, bench.x)
+            if model is near.base.model or self.left < again + look:
                 break
+            bench.plan(again + look)
             near = library.build(bench, bench.matched(model), ())
-        if near is believed or nuisance.LIKE_GAIN not in self.kinds:
-            return near
-        near, believed = (library.with_rays(each, [nuisance.LIKE_GAIN]) for each in (near, believed))
-        return believed if _is_register(near, believed, bench.x) else near
+        self.camera_is_off = near is not believed and not (
+            camera.may_be_register(bench.start) and camera.is_register(near, believed, bench.x)
+        )
+        return near if self.camera_is_off else believed
 
     @property
     def first(self) -> Stand:
@@ -134,16 +136,3 @@ class Standing:
                 )
             )
         return found
-
-
-def _is_register(near: library.Library, believed: library.Library, x: Array) -> bool:
-    """Is it not the gain, set right in `near`, but the excess noise of the register that is not as it was `believed`?
-    Both change the variance alike, but not how skewed counts are: the right gain leaves nothing of the other. Where
-    much else is wrong, what it leaves is to be as from the model believed, more or less noise, and likelier there."""
-    there, here = (each.base.screen(x, each.rays)[nuisance.LIKE_GAIN] for each in (near, believed))
-    if there[0].gain < Null.of(*near.null_distribution()).needed(nuisance.LIKE_GAIN):
-        return False
-    if not near.base.far_off(x):
-        return True
-    noisier = started(believed, believed.base, here, x)
-    return there[0].rises == here[0].rises and noisier.score(x) < near.base.score(x) - NEAR

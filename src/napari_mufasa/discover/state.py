@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.coordinates import changed, model_at, room
 from napari_mufasa.discover.metric import SOFT, Adjusted, adjust, at_the_end, soften, stretch
 from napari_mufasa.discover.nuisance import Nuisance
@@ -105,12 +104,6 @@ class State:
         return adjust(
             x[part], self.mean[part], self.spread[part], self.slopes[part], self.prior, self.room, self.whiten[part]
         )
-
-    def free_of_data_sheets(self) -> State:
-        """The state whose camera may be farther off than data sheets err."""
-        values = nuisance.off_data_sheet(self.values)
-        prior = np.array([*(value.prior for value in values), *self.prior[len(values) :]])
-        return replace(self, values=values, prior=prior)
 
     @cached_property
     def room(self) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from napari_mufasa.discover import joint, library
+from napari_mufasa.discover import camera, joint, library
 from napari_mufasa.discover.coordinates import changed
 from napari_mufasa.discover.rules import (
     CLEAR,
@@ -112,6 +112,29 @@ class Steps(Standing):
             fallen = stand.misfit - there.misfit
             known = tuple((kind, replace(w, evidence=w.evidence + fallen)) for kind, w in stand.known)
             self.stands[-1] = replace(there, known=known)
+
+    def judge_camera(self) -> None:
+        """Where the camera was set right before any effect was known, try it as it is believed, beside those that are
+        known now, which may have been taken for it; where an excess noise of its register is among them, try another
+        gain in its place. What leaves no more misfit is kept."""
+        stand, x = self.stand, self.stand.x
+        if self.camera_is_off and self.chosen:
+            state, other = stand.state, self.bench.start
+        elif camera.REGISTER in self.chosen:
+            state = stand.without(camera.REGISTER)
+            other = camera.set_right(state, x)
+        else:
+            return
+        if other is state.model or not self.affords(0):
+            return
+        self.bench.plan(self._settling(0))
+        model = camera.with_camera_of(state.model, other)
+        state, base = (camera.known_from(each, model) for each in (state, stand.state))
+        here, below = replace(stand.library, base=base), stand.misfit + NEAR
+        near = joint.from_elsewhere(here, state, model, x, self.kinds, self.left, below)
+        if near is not None:
+            self._stand_at(near)
+            self.camera_is_off = not self.camera_is_off
 
     def prune(self, sure: bool = False) -> set[str]:
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
