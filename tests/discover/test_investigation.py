@@ -492,6 +492,8 @@ class Climb:
     def arrive(self):
         pass
 
+    judge_camera = arrive
+
     def exchange(self, waiting=None, kinds=None):
         if waiting is not None:
             self.told.append(f"forms of {'all' if kinds is None else min(kinds)} that promise more than {waiting:.0f}")

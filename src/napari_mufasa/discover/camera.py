@@ -25,15 +25,13 @@ OFF_DATA_SHEET = 0.12  # prior width of both where they may be farther off than 
 REGISTER = "em_excess_noise"  # changes variance as a gain does, but not how skewed counts are
 
 
-def set_right(state: State, x: Array) -> Model:
+def set_right(state: State, x: Array, least: float = CAMERA_OFF) -> Model:
     """The state's model, gain and read noise moved to where all observables x (part, observable) together put them, if
-    that is far off; itself where neither is."""
+    that is farther off than `least` (log units); itself where neither is."""
     values = tuple(replace(n, prior=OFF_DATA_SHEET) if n.path in (GAIN, READ_NOISE) else n for n in state.values)
     free = replace(state, values=values, prior=np.array([*(n.prior for n in values), *state.prior[len(values) :]]))
     moves = free.adjusted(x).moves[: len(values)]
-    far = [
-        m if n.path in (GAIN, READ_NOISE) and abs(m) > CAMERA_OFF else 0.0 for n, m in zip(values, moves, strict=True)
-    ]
+    far = [m if n.path in (GAIN, READ_NOISE) and abs(m) > least else 0.0 for n, m in zip(values, moves, strict=True)]
     return nuisance.apply(state.model, values, far) if any(far) else state.model
 
 

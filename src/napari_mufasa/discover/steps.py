@@ -122,7 +122,7 @@ class Steps(Standing):
             state, other = stand.state, self.bench.start
         elif camera.REGISTER in self.chosen:
             state = stand.without(camera.REGISTER)
-            other = camera.set_right(state, x)
+            other = camera.set_right(state, x, least=0.0)
         else:
             return
         if other is state.model or not self.affords(0):
