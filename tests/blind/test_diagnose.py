@@ -90,6 +90,18 @@ def test_a_model_that_lacks_nothing_is_left_as_it_is(nothing_hidden):
         assert quiet.error["after"] == quiet.error["before"] <= 1.25 * quiet.error["floor"]
 
 
+@pytest.mark.parametrize("effects", [[], [("stage_drift", 0.6)]])
+def test_a_gain_that_is_not_as_believed_is_no_missing_effect_and_hides_none(effects):
+    """An EM register that has aged by a quarter, as far as the model believed knows nothing of it."""
+    movie, model, dark = hidden(effects, seed=11)
+    gain = model.camera.electrons_per_adu
+    report = nm.diagnose(movie, model.with_values({"camera.electrons_per_adu": 0.8 * gain}), dark, seed=1)
+    assert report.chosen == [kind for kind, _ in effects]
+    assert report.error["after"] <= 1.25 * report.error["floor"]
+    assert report.model.camera.electrons_per_adu == pytest.approx(gain, rel=0.05)
+    assert "photoelectrons per ADU, not" in report.camera
+
+
 def test_by_hand_add_undo_and_refine_agree():
     movie, model, dark = hidden([("row_noise", 0.6)], seed=31)
     inquiry = Investigation(movie, model, dark, seed=1, effects=["row_noise", "laser_drift"])

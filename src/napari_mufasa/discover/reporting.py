@@ -60,6 +60,7 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         simulations={"spent": inquiry.bench.done, "budget": inquiry.budget},
         cut_short=cut_short,
         suspects=list(inquiry.suspects),
+        camera=camera.contradicted(inquiry.believed, model) if inquiry.camera_is_off else "",
     )
 
 
@@ -200,8 +201,6 @@ def _notes(inquiry: Standing, verdict: Verdict, cut_short: bool, table: pd.DataF
     notes = []
     if changes := nuisance.told(inquiry.believed, completed):
         notes.append(f"Values of the model fitted beside the effects: {changes}.")
-    if inquiry.camera_is_off and (far := camera.contradicted(inquiry.believed, completed)):
-        notes.append(f"The movie contradicts the camera believed: {far}. Measure it (`napari-mufasa calibrate`).")
     if completed.effects_refer_to is not None:
         notes.append(
             "Values of the effects speak of the part looked at; the completed model carries their laws beyond it."

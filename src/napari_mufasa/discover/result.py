@@ -97,6 +97,7 @@ class Report:
     remaining : observables still off, worst first: observable, title, z, measured, simulated and their unit
     simulations : spent, and the budget · cut_short : the budget left no room for what might explain the rest
     suspects : the only kinds that were considered; [] where all of the catalogue were
+    camera : what of the camera the movie contradicts, and what is found in its place; "" where nothing
     check : what data that the finding has not seen say of it (`Confirmation.to_dict`, "against" what); {} where nobody
         asked
     """
@@ -127,6 +128,7 @@ class Report:
     cut_short: bool = False
     check: dict[str, Any] = field(default_factory=dict)
     suspects: list[str] = field(default_factory=list)
+    camera: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """report.json of docs/files.md, with the additions a reader wants."""
@@ -152,6 +154,7 @@ class Report:
             "simulations": self.simulations,
             "cut_short": self.cut_short,
             "suspects": self.suspects,
+            "camera": self.camera,
             "check": self.check,
             **({"w1": self.w1} if self.w1 else {}),
         }

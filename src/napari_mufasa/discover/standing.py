@@ -22,7 +22,7 @@ class Standing:
     kinds : of effects considered · further : those considered where they leave the model far off its floor
     suspects : the only kinds that its user has asked for; () where the catalogue is searched
     ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent ·
-    camera_is_off : whether the camera is not as believed, before any effect is known
+    camera_is_off : whether the camera was found not to be as believed
     reserve : those of them that are kept for later · most_effects : that are added (None: as many as earn their place)
     """
 

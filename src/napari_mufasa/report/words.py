@@ -190,6 +190,10 @@ def standing_lines(report: Report) -> list[str]:
         )
     elif report.chosen:
         lines.append("These data cannot tell the completed model and the movie apart.")
+    if report.camera:
+        lines.append(
+            f"The movie contradicts the camera believed: {report.camera}. Measure it (`napari-mufasa calibrate`)."
+        )
     named = {kinds[0] for kinds in report.alternatives}
     unsure = {kind: sure for kind, sure in report.inclusion.items() if sure < DOUBTFUL and kind not in named}
     if unsure:
