@@ -77,9 +77,20 @@ def test_a_register_that_is_on_in_a_camera_believed_a_ccd_is_not_taken_for_its_g
     asked.further.append("em_excess_noise")
     asked.examine()
     assert not asked.camera_is_off
-    assert asked.state.model.camera == model.camera.model_copy(
-        update={"baseline_adu": asked.state.model.camera.baseline_adu}
-    )
+
+
+def test_a_gain_that_was_taken_for_a_registers_noise_takes_its_place_at_the_end(monkeypatch):
+    monkeypatch.setattr(camera, "is_register", lambda *_: True)
+    model = believed(**{"acquisition.n_frames": 200, "acquisition.shape_px": (64, 64)})  # fewer pixels hardly tell
+    truth = wrongly(model, 1.35, 1.0)
+    asked = inquiry(truth, model, effects=["em_excess_noise"])
+    asked.examine()
+    assert not asked.camera_is_off
+    report = play(asked, None)
+    assert report.verdict == "adequate" and report.chosen == [] and report.camera
+    assert report.model.camera.electrons_per_adu == pytest.approx(truth.camera.electrons_per_adu, rel=0.05)
+    assert report.error["before"] == report.error["after"] == report.history[-1]["error"]
+    assert report.base.camera.electrons_per_adu == pytest.approx(truth.camera.electrons_per_adu, rel=0.08)
 
 
 def test_what_is_far_off_for_other_reasons_does_not_hide_a_gain():

@@ -493,6 +493,7 @@ class Climb:
         pass
 
     judge_camera = arrive
+    first = None
 
     def exchange(self, waiting=None, kinds=None):
         if waiting is not None:

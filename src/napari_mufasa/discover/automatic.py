@@ -125,7 +125,10 @@ def play(inquiry: Investigation, max_effects: int | None) -> Report:
         if inquiry.begin_afresh() or inquiry.stand.far_off:
             _one_way(inquiry)
         inquiry.stands = min(first_way, inquiry.stands, key=lambda stands: stands[-1].error)
+    believed = inquiry.first
     inquiry.judge_camera()
+    if inquiry.first is not believed:
+        ranking = inquiry.rank(0)
     inquiry.prune()
     if inquiry.chosen and inquiry.stand.content:
         inquiry.exchange()
@@ -232,4 +235,5 @@ def refine(
         movie, model, dark, seed=seed, effects=kinds, progress=progress, cancel=cancel, client=client
     )
     inquiry.add(*add)
+    inquiry.judge_camera()
     return inquiry.report()

@@ -73,6 +73,11 @@ def known_from(state: State, model: Model) -> State:
     return replace(state, values=tuple(replace(n, origin=at.get(n.path, n.origin)) for n in state.values))
 
 
+def is_off(state: State) -> bool:
+    """Whether gain or read noise are looked for elsewhere than where they are believed."""
+    return any(n.path in (GAIN, READ_NOISE) and n.origin != n.believed for n in state.values)
+
+
 def contradicted(believed: Model, found: Model) -> str:
     """What of the camera was found far from what is believed, in what a movie shows: photoelectrons per count, noise in
     counts; "" where nothing is."""

@@ -77,6 +77,11 @@ class Stand:
     def state(self) -> State:
         return self.library.base
 
+    @property
+    def seen_as_first(self) -> bool:
+        """Whether the camera is that of the model believed as it was seen first."""
+        return self.state.values == self.first.values
+
     @cached_property
     def error(self) -> float:
         """Held-out error."""
@@ -174,7 +179,7 @@ class Stand:
     def worths(self) -> dict[str, Worth]:
         """What each of the added effects is worth, by simulations without it."""
         known = dict(self.known)
-        if len(self.added) == 1 and not known:  # the model without it is the one believed
+        if len(self.added) == 1 and not known and self.seen_as_first:  # the model without it is the one believed
             alone = self.first.score(self.x) - self.state.score(self.x)
             return {self.added[0]: Worth(alone, self.first.held_out_error(self.x), self.null.needed(self.added[0]))}
         states = {kind: self.without(kind) for kind in self.added}

@@ -9,7 +9,7 @@ from napari_mufasa.discover import camera, library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.result import Candidate
-from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_ROUNDS, START, TELLING
+from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_ROUNDS, NEAR, START, TELLING
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.state import State
 from napari_mufasa.model.model import Model
@@ -22,7 +22,6 @@ class Standing:
     kinds : of effects considered · further : those considered where they leave the model far off its floor
     suspects : the only kinds that its user has asked for; () where the catalogue is searched
     ranking : effects that are not in the model, as of the last look · budget : simulations that may be spent ·
-    camera_is_off : whether the camera was found not to be as believed
     reserve : those of them that are kept for later · most_effects : that are added (None: as many as earn their place)
     """
 
@@ -36,7 +35,6 @@ class Standing:
         self.budget = min(BUDGET, BUDGET_VALUES // bench.size) if budget is None else budget
         self.reserve = 0
         self.most_effects: int | None = None
-        self.camera_is_off = False
         self.stands: list[Stand] = []
         self.ranking: list[Candidate] = []
 
@@ -61,11 +59,13 @@ class Standing:
             if model is near.base.model or self.left < again + look:
                 break
             bench.plan(again + look)
-            near = library.build(bench, bench.matched(model), ())
-        self.camera_is_off = near is not believed and not (
-            camera.may_be_register(bench.start) and camera.is_register(near, believed, bench.x)
-        )
-        return near if self.camera_is_off else believed
+            there = library.build(bench, bench.matched(model), ())
+            if there.base.score(bench.x) > near.base.score(bench.x) - NEAR:
+                break
+            near = there
+        if near is believed or not camera.may_be_register(bench.start):
+            return near
+        return believed if camera.is_register(near, believed, bench.x) else near
 
     @property
     def first(self) -> Stand:
@@ -82,6 +82,11 @@ class Standing:
     @property
     def state(self) -> State:
         return self.stand.state
+
+    @property
+    def camera_is_off(self) -> bool:
+        """Whether the camera was found not to be as believed."""
+        return camera.is_off(self.state)
 
     @property
     def chosen(self) -> list[str]:

@@ -116,25 +116,31 @@ class Steps(Standing):
     def judge_camera(self) -> None:
         """Where the camera was set right before any effect was known, try it as it is believed, beside those that are
         known now, which may have been taken for it; where an excess noise of its register is among them, try another
-        gain in its place. What leaves no more misfit is kept."""
+        gain in its place. As it is believed it is kept, unless that leaves clearly more misfit."""
         stand, x = self.stand, self.stand.x
-        if self.camera_is_off and self.chosen:
-            state, other = stand.state, self.bench.start
+        if not (self.bench.shows_camera and self.chosen and self.affords(0)):
+            return
+        if self.camera_is_off:
+            state, other, below = stand.state, self.bench.start, stand.misfit + NEAR
         elif camera.REGISTER in self.chosen:
-            state = stand.without(camera.REGISTER)
+            state, below = stand.without(camera.REGISTER), stand.misfit - NEAR
             other = camera.set_right(state, x, least=0.0)
         else:
             return
-        if other is state.model or not self.affords(0):
+        if other is state.model:
             return
         self.bench.plan(self._settling(0))
         model = camera.with_camera_of(state.model, other)
         state, base = (camera.known_from(each, model) for each in (state, stand.state))
-        here, below = replace(stand.library, base=base), stand.misfit + NEAR
+        here = replace(stand.library, base=base)
         near = joint.from_elsewhere(here, state, model, x, self.kinds, self.left, below)
-        if near is not None:
-            self._stand_at(near)
-            self.camera_is_off = not self.camera_is_off
+        if near is None:
+            return
+        self._stand_at(near)
+        if self.stand.misfit > below or self.stand.error > NOT_RISEN * stand.error:
+            self.undo()
+        elif not self.chosen:  # it was the gain alone
+            self.stands = [replace(self.stand, first=self.state)]
 
     def prune(self, sure: bool = False) -> set[str]:
         """Take out what does not earn its place: at once what is worth far less than it needs, if together it is not
@@ -153,7 +159,7 @@ class Steps(Standing):
             }
             if not doubtful:
                 break
-            if len(stand.added) == 1:
+            if len(stand.added) == 1 and stand.seen_as_first:
                 self.stands = [self._first_again()]
                 return dropped | set(doubtful)
             order = sorted(doubtful, key=lambda k: doubtful[k].evidence)
