@@ -9,7 +9,7 @@ from napari_mufasa.discover import camera, library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.result import Candidate
-from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_ROUNDS, NEAR, START, TELLING
+from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_OFF, CAMERA_ROUNDS, NEAR, START, TELLING
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.state import State
 from napari_mufasa.model.model import Model
@@ -55,7 +55,7 @@ class Standing:
         look = library.ray_simulations(self.kinds, bench.start) + START
         again = bench.matching_simulations + library.expected_simulations([], len(near.base.free), bench.start)
         for _ in range(CAMERA_ROUNDS if bench.shows_camera else 0):
-            model = camera.set_right(near.base, bench.x)
+            model = camera.set_right(near.base, bench.x, CAMERA_OFF if near is believed else CAMERA_OFF**2)
             if model is near.base.model or self.left < again + look:
                 break
             bench.plan(again + look)
