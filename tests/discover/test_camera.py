@@ -50,6 +50,18 @@ def test_a_gain_and_read_noise_a_third_off_are_found_and_nothing_is_missing(kind
     assert any(f"contradicts the camera believed: {report.camera}" in line for line in standing_lines(report))
 
 
+@pytest.mark.parametrize("times", [0.5, 2.0])
+def test_a_gain_off_by_two_is_found_in_more_than_one_round(times):
+    """Slopes reach as far as the model is linear; what they leave is seen from nearer."""
+    model = believed("CMOS")
+    truth = wrongly(model, times, 1.0)
+    asked = inquiry(truth, model, effects=[])
+    asked.examine()
+    assert asked.camera_is_off
+    assert asked.model.camera.electrons_per_adu == pytest.approx(truth.camera.electrons_per_adu, rel=0.03)
+    assert asked.stand.error < 1.25 * asked.stand.state.floor
+
+
 def test_without_dark_frames_nothing_is_missing_either():
     """An offset has a part in what light there is, and gain and light make up for one another there."""
     model = believed("CMOS")
