@@ -196,6 +196,29 @@ def test_astigmatism_along_any_axis(log_ratio, axis_deg):
     np.testing.assert_allclose(measured, expected, atol=0.01 * model.sigma_px**2)
 
 
+@pytest.mark.parametrize("axis_deg", [45.0, 80.0])
+@pytest.mark.parametrize("log_ratio", [0.3, 1.0, 2.0])
+def test_a_long_psf_is_a_gaussian_along_any_axis(log_ratio, axis_deg):
+    """Not only in its moments: 2.5 % of the peak, where few nodes of a quadrature would be beads on a string."""
+    model = plain(n_frames=1, shape=(121, 121), **{"optics.background_photons_per_px": 0.0})
+    model = model.with_effects(effect("astigmatism", log_ratio=log_ratio, axis_deg=axis_deg))
+    image = simulate(model, np.array([[60.0, 60.0]]), seed=2).optical[0]
+    fine = (np.arange(121 * 4) + 0.5) / 4 - 0.5 - 60
+    y, x = np.meshgrid(fine, fine, indexing="ij")
+    c, s = np.cos(np.deg2rad(axis_deg)), np.sin(np.deg2rad(axis_deg))
+    long, short = model.sigma_px * np.exp(log_ratio / 2), model.sigma_px * np.exp(-log_ratio / 2)
+    law = np.exp(-(((x * c + y * s) / long) ** 2 + ((y * c - x * s) / short) ** 2) / 2)
+    law = law.reshape(121, 4, 121, 4).sum(axis=(1, 3))
+    np.testing.assert_allclose(image / image.sum(), law / law.sum(), atol=0.025 * law.max() / law.sum())
+
+
+@pytest.mark.parametrize("gradient", [{"form": "hump", "width": 0.4, "relative_height": 8.0}, {"relative_height": 1.2}])
+def test_the_background_is_that_of_the_fields_mean_where_light_and_background_are_both_uneven(gradient):
+    both = effect("illumination_profile", edge_dimming=0.85), effect("background_gradient", **gradient)
+    scene = scene_of(plain(shape=(40, 50)).with_effects(*both))
+    assert scene.background_map().mean() == pytest.approx(20.0)
+
+
 @pytest.mark.parametrize("form", ["linear", "hump"])
 def test_gradient_keeps_the_mean_and_the_spots(form):
     added = effect("background_gradient", relative_height=0.8, form=form)

@@ -239,6 +239,28 @@ def test_who_is_not_bound_neither_shines_nor_bleaches(engine):
     assert light.mean() == pytest.approx(np.exp(-0.05), abs=4 * light.std() / np.sqrt(full.sum()) + 2e-3)
 
 
+@pytest.mark.parametrize("beside", [[], ["multiple_emitters"], ["dim_companions"]])
+def test_who_comes_later_walks_from_where_it_arrives(beside):
+    """1 px per frame at 90° for 100 frames: a walk from the first frame on would carry nearly all of them away."""
+    glide = effect("directed_motion", speed_px_per_frame=1.0, moving=1.0)
+    effects = [effect("binding", unbinding_rate_per_s=1.0), glide, *map(effect, beside)]
+    scene = scene_of(plain(n_frames=100).with_effects(*effects), np.full((300, 2), 7.0))
+    lit = scene.light_of_each > 0
+    came, later = lit.argmax(axis=1), lit.any(axis=1)
+    start = scene.walk_px[came, np.arange(len(came))]
+    assert later[300:].sum() > 200 and (came[later] > 0).sum() > 200
+    assert np.all(start[later] == 0)
+    steps = np.diff(scene.walk_px[:, :, 0], axis=0)
+    np.testing.assert_allclose(steps.std(axis=0), 0, atol=1e-4)  # each at its own speed throughout
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0, 10.0])
+def test_dim_molecules_are_so_many_for_those_that_are_there_at_a_time(rate):
+    effects = effect("binding", unbinding_rate_per_s=rate), effect("dim_population", number_ratio=4.0)
+    scene = scene_of(plain(n_frames=200).with_effects(*effects), np.full((50, 2), 7.0))
+    assert scene.populations[0].n_molecules == pytest.approx(200, abs=1)
+
+
 def test_emitters_of_a_spot_come_and_go_together():
     effects = [effect("binding"), effect("multiple_emitters", fraction=1.0), effect("brightness_heterogeneity")]
     for order in (effects, effects[::-1]):

@@ -179,6 +179,22 @@ def test_activated_molecules_are_what_they_would_have_been():
     check_share(np.mean(on_until(counts) > 90), 0.5 * np.exp(-slow * 0.9), 4000, slack=5e-3)
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        effect("triplet_blinking", off_rate_per_s=12.5, dark_time_s=0.08, start="equilibrium"),
+        effect("level_switching", to_low_per_s=4.0, to_full_per_s=4.0, level=0.3),
+    ],
+)
+def test_activated_molecules_are_in_the_equilibrium_that_others_start_in(other):
+    """Half of them dark, or low: as bright in the first frames after activation as later on."""
+    n, frames = 4000, 300
+    delayed = effect("delayed_activation", fraction=1.0, activation_rate_per_s=300.0)  # all within the first frames
+    counts = simulate_emission(plain(n_frames=frames).with_effects(delayed, other), n, seed=5).astype(float)
+    soon, later = counts[:, 3:8].mean(axis=1), counts[:, -150:].mean()
+    assert soon.mean() == pytest.approx(later, abs=4 * soon.std() / np.sqrt(n) + 0.01 * later)
+
+
 @pytest.mark.parametrize("form", ["lognormal", "gamma", "two_levels", "orientations"])
 @pytest.mark.parametrize("spread", [0.2, 0.7])
 def test_brightness_spread_is_the_coefficient_of_variation(form, spread):

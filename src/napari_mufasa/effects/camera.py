@@ -6,6 +6,7 @@ sheet or a dark frame shows.
 
 from __future__ import annotations
 
+from math import cos, floor, pi, sin
 from typing import Literal
 
 import numpy as np
@@ -122,7 +123,8 @@ class ClockInducedCharge(Effect):
         gain = max(_gain(scene), 1.0)
         if self.form != "in_register" or gain == 1.0:
             growth = self.growth if self.form == "along_columns" else 0.0
-            rows = np.maximum(1 + growth * (scene.down.astype(np.float32) - 0.5), 0)[:, None]
+            middle = 0.5 if scene.field_px[0] > 1 else 0.0
+            rows = np.maximum(1 + growth * (scene.down.astype(np.float32) - middle), 0)[:, None]
             scene.sensor.expected.append(lambda e, frames: e + np.float32(self.electrons) * rows)
             return
         mean = (1 - 1 / gain) / np.log(gain)  # of gain^-u: what an electron born at u of the register's length keeps
@@ -288,6 +290,9 @@ class BaselineDrift(Effect):
         scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
 
 
+TRACK_PX = 7  # of a particle's track at most
+
+
 class CosmicRays(Effect):
     kind = "cosmic_rays"
     stage = STAGE
@@ -306,7 +311,7 @@ class CosmicRays(Effect):
         plausible=(0.005, 1.0),
         unit="1/frame",
         log=True,
-        description="hits per frame on the field",
+        description="hits per frame on the field that effects speak of",
     )
     electrons: float = parameter(
         400.0, gt=0, plausible=(100, 2000), unit="e⁻", log=True, description="mean photoelectrons of a hit"
@@ -314,18 +319,20 @@ class CosmicRays(Effect):
     form: Literal["points", "tracks"] = "points"
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        gain, shape = _gain(scene), scene.shape_px
+        gain, shape = _gain(scene), np.array(scene.shape_px)
+        margin = TRACK_PX if self.form == "tracks" else 0  # tracks come in from outside
+        hits_per_frame = self.hits_per_frame * np.prod(shape + 2 * margin) / np.prod(scene.field_px)
 
         def hit(electrons: Stack, frames: Frames) -> Stack:
             for i, f in enumerate(frames):
                 draw = scene.streams.of("cosmic rays", int(f))
-                for _ in range(draw.poisson(self.hits_per_frame)):
+                for _ in range(draw.poisson(hits_per_frame)):
                     charge = draw.exponential(self.electrons) * gain
-                    y, x = draw.random(2) * shape
-                    length = 1 if self.form == "points" else int(draw.integers(2, 8))
-                    angle = draw.uniform(0, 2 * np.pi)
+                    y, x = draw.random(2) * (shape + 2 * margin) - margin
+                    length = 1 if self.form == "points" else int(draw.integers(2, TRACK_PX + 1))
+                    angle = draw.uniform(0, 2 * pi)
                     for step in range(length):
-                        r, c = int(y + step * np.sin(angle)), int(x + step * np.cos(angle))
+                        r, c = floor(y + step * sin(angle)), floor(x + step * cos(angle))
                         if 0 <= r < shape[0] and 0 <= c < shape[1]:
                             electrons[i, r, c] += charge / length
             return electrons

@@ -22,14 +22,16 @@ def course(
     """A change over the movie (frame,) from 0 (first frame) to about 1 (last): linear, curved, stepwise or wandering.
     Before the movie (progress below 0: dark frames) a law goes on backwards.
 
-    What saturates settles exponentially, within `settling_time` of the movie by all but 1/e. What wanders follows
+    What saturates settles exponentially, within `settling_time` of the movie by all but 1/e; it began to twice
+    that before the movie, and is held until then. What wanders follows
     `seen`, values at equal times, where they are given; else it is a random walk.
     """
     progress = scene.progress
     if form == "linear":
         return progress
     if form == "saturating":
-        path: NDArray[np.float64] = np.expm1(-progress / settling_time) / np.expm1(-1 / settling_time)
+        since = np.maximum(progress, -2 * settling_time)
+        path: NDArray[np.float64] = np.expm1(-since / settling_time) / np.expm1(-1 / settling_time)
     elif form == "accelerating":
         path = progress**2
     elif form == "step":

@@ -93,7 +93,7 @@ class DimPopulation(Effect):
     strength = "number_ratio"
     common = False
     hides_molecules = True
-    order = 1  # further molecules, to which nothing else happens
+    order = 2  # further molecules, to which nothing else happens
     title = "A second, dim population"
     what_it_is = "Many molecules shine at a fraction of the others' brightness: impurities, free dye, out of focus."
     what_it_does = "Faint spots that overlap make the background grainy; most are below what a finder of spots sees."
@@ -131,7 +131,7 @@ class DimPopulation(Effect):
         return () if bleaches else ("brightness_heterogeneity",)
 
     def apply(self, scene: Scene, rng: np.random.Generator) -> None:
-        n = round(self.number_ratio * len(scene.positions_px))
+        n = round(self.number_ratio * scene.present * len(scene.positions_px))
         if n > 0:
             places = rng.random((n, 2)) * scene.shape_px - 0.5
             scene.add_molecules(places, (self.kind, dimmed(scene.chain, self.brightness, self.slower)))
@@ -142,7 +142,7 @@ class DimCompanions(Effect):
     stage = STAGE
     strength = "brightness"
     common = False
-    order = 2  # after the dim population, whose molecules have none
+    order = 3  # after the dim population, whose molecules have none
     title = "Dim companions"
     what_it_is = "A dim emitter beside each molecule: a donor whose light leaks through, a second dye, a bleached form."
     what_it_does = "Where a molecule has bleached, a share of its light stays, and goes much later."
@@ -185,7 +185,7 @@ class BrightnessWander(Effect):
     stage = STAGE
     strength = "rms"
     common = False
-    order = 3  # every molecule wanders on its own, those of one spot and dim ones, too
+    order = 4  # every molecule wanders on its own, those of one spot and dim ones, too
     title = "Brightness that wanders"
     what_it_is = "Each molecule's brightness changes slowly on its own, as its orientation or surroundings do."
     what_it_does = "Levels of single traces wander over many frames, up and down, and not in unison."

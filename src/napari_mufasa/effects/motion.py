@@ -162,6 +162,9 @@ class Binding(Effect):
             arrival_s = np.pad(landings, (0, max(0, n - len(landings))), constant_values=np.inf)
         departure_s = arrival_s + rng.exponential(1 / rate, len(arrival_s))
         scene.add_molecules(rng.random((len(arrival_s) - n, 2)) * scene.shape_px - 0.5)
+        frame = np.searchsorted(scene.time_s + timing.interval_s, arrival_s, side="right")
+        scene.arrival = frame.clip(max=scene.n_frames - 1)
+        scene.present = n / len(arrival_s)
         begin_s = scene.time_s
         end_s = begin_s + timing.frame_length_s
         bound_s = np.minimum(departure_s[:, None], end_s) - np.maximum(arrival_s[:, None], begin_s)

@@ -223,6 +223,7 @@ class DelayedActivation(Effect):
     kind = "delayed_activation"
     stage = STAGE
     strength = "fraction"
+    order = 1  # after all that says how molecules start
     title = "Delayed activation"
     what_it_is = "Some molecules start in a dark form and turn bright later (photoactivation, binding, thawing)."
     what_it_does = "Spots appear during the movie; the number of bright molecules rises."
@@ -375,6 +376,8 @@ class MultipleEmitters(Effect):
             scene.walk_px = np.repeat(scene.walk_px, copies, axis=1)
         if scene.light_of_each is not None:
             scene.light_of_each = np.repeat(scene.light_of_each, copies, axis=0)
+        if scene.arrival is not None:
+            scene.arrival = np.repeat(scene.arrival, copies)
 
 
 EFFECTS = (

@@ -54,6 +54,10 @@ class Scene:
     background_field: list[FieldMap] = field(default_factory=list)  # background only
     walk_px: NDArray[np.float32] | None = None  # (frame, molecule, 2) motion of each molecule
     light_of_each: NDArray[np.float32] | None = None  # (molecule, frame) what each molecule gets of the light
+    arrival: NDArray[np.int64] | None = (
+        None  # (molecule,) frame from which each one is there and moves; None: the first
+    )
+    present: float = 1.0  # of all molecules, the share that is there at a time
     populations: list[Population] = field(default_factory=list)  # in the order of their molecules
     halo: tuple[float, float] | None = None  # share of the light in a wider PSF, and how many times wider it is
     oblique: tuple[float, float] | None = None  # ln of the PSF's axes' ratio, and the direction of the long one (rad)
@@ -137,6 +141,8 @@ class Scene:
             self.walk_px = np.pad(self.walk_px, ((0, 0), (0, n), (0, 0)))
         if self.light_of_each is not None:
             self.light_of_each = np.pad(self.light_of_each, ((0, n), (0, 0)), constant_values=1)
+        if self.arrival is not None:
+            self.arrival = np.pad(self.arrival, (0, n))
         if population is not None:
             self.populations.append(Population(*population, n))
 
@@ -150,6 +156,13 @@ class Scene:
             self.light_of_each[-n:] = self.light_of_each[:n]
         if self.walk_px is not None:
             self.walk_px[:, -n:] = self.walk_px[:, :n]
+        if self.arrival is not None:
+            self.arrival[-n:] = self.arrival[:n]
+
+    def set_off(self) -> None:
+        """Let molecules that come later walk from where they arrive."""
+        if self.walk_px is not None and self.arrival is not None:
+            self.walk_px = self.walk_px - self.walk_px[self.arrival, np.arange(len(self.arrival))]
 
     def follow_light(self) -> None:
         """Light each molecule that moves as the field is where it has come to."""
@@ -178,8 +191,13 @@ class Scene:
     def background_map(self) -> Array:
         """(y, x) background photons per pixel at relative light and course 1."""
         y, x = self.pixel_coordinates()
-        everywhere = self.light_at(y, x) * _product(self.background_field, y, x)
-        return self.setup.optics.background_photons_per_px * everywhere
+
+        def everywhere(y: Array, x: Array) -> Array:
+            return self.light_at(y, x) * _product(self.background_field, y, x)
+
+        # The background believed is that of the field's mean.
+        mean = float(self.over_field(everywhere).mean()) if self.light_field and self.background_field else 1.0
+        return self.setup.optics.background_photons_per_px * everywhere(y, x) / max(mean, 1e-12)
 
     def optical(self, emission: NDArray[Any], frames: NDArray[np.int64]) -> NDArray[np.float32]:
         """(frame, y, x) expected photons on the detector for an emission (molecule, frame) in these frames."""
@@ -267,6 +285,7 @@ def build_scene(model: Model, positions_px: NDArray[np.floating[Any]], streams: 
     )
     for effect in sorted(model.effects, key=lambda e: (e.order, e.kind)):  # in whatever order they are listed
         effect.apply(scene, streams.of(f"effect {effect.kind}"))
+    scene.set_off()
     scene.follow_light()
     return scene
 
