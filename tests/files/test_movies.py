@@ -1,12 +1,15 @@
 """Files: what goes in comes out, what is damaged is told in one line, nothing is half-written (docs/files.md)."""
 
+import importlib.util
 import json
+import re
 
 import numpy as np
 import pandas as pd
 import pytest
 import tifffile
 import zarr
+from tests.trust.refusal import check_line
 
 from napari_mufasa import Cancelled, Model, MufasaError, files, preset
 from napari_mufasa.effects import catalogue
@@ -132,6 +135,86 @@ def test_damaged_zarr_is_told(tmp_path):
     files.write_movie(tmp_path / "m.zarr", [MOVIE], MOVIE.shape, np.uint16)
     (tmp_path / "m.zarr" / "zarr.json").write_text("{")
     assert "m.zarr" in complaint(files.read_movie, tmp_path / "m.zarr")
+
+
+def write_two_files(folder):
+    """A movie of eight frames as microscopes split it: two OME-TIFFs that name one another."""
+    names = ("a.ome.tif", "b.ome.tif")
+    told = "".join(
+        f'<TiffData IFD="0" FirstT="{4 * i}" PlaneCount="4"><UUID FileName="{name}">urn:uuid:{name}</UUID></TiffData>'
+        for i, name in enumerate(names)
+    )
+    for i, name in enumerate(names):
+        xml = (
+            '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" '
+            f'UUID="urn:uuid:{name}"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" '
+            f'SizeX="20" SizeY="12" SizeZ="1" SizeC="1" SizeT="8">{told}</Pixels></Image></OME>'
+        )
+        tifffile.imwrite(
+            folder / name, TWO[4 * i : 4 * i + 4], description=xml, metadata=None, photometric="minisblack"
+        )
+
+
+TWO = np.concatenate([MOVIE, MOVIE[:1]])
+
+
+def test_a_movie_in_two_files_is_whole_or_told(tmp_path):
+    write_two_files(tmp_path)
+    np.testing.assert_array_equal(files.load(tmp_path / "a.ome.tif"), TWO)
+    (tmp_path / "b.ome.tif").rename(tmp_path / "elsewhere")
+    check_line(complaint(files.read_movie, tmp_path / "a.ome.tif"), "refers to b.ome.tif, which is not there: copy")
+    (tmp_path / "b.ome.tif").write_bytes((tmp_path / "elsewhere").read_bytes()[:100])
+    check_line(complaint(files.read_movie, tmp_path / "a.ome.tif"), "announces 8 frames, 4 can be read")
+
+
+def test_a_file_that_was_renamed_needs_no_other(tmp_path):
+    files.write_movie(tmp_path / "m.ome.tif", [MOVIE], MOVIE.shape, np.uint16)
+    with tifffile.TiffFile(tmp_path / "m.ome.tif") as file:
+        own = re.search('UUID="([^"]*)"', file.ome_metadata)[1]
+    told = f'<TiffData IFD="0" PlaneCount="7"><UUID FileName="before.ome.tif">{own}</UUID></TiffData>'
+    xml = re.sub("<TiffData.*?</TiffData>|<TiffData[^>]*/>", told, file.ome_metadata, count=1)
+    assert told in xml
+    tifffile.imwrite(
+        tmp_path / "after.ome.tif", MOVIE, description=xml.encode(), metadata=None, photometric="minisblack"
+    )
+    np.testing.assert_array_equal(files.load(tmp_path / "after.ome.tif"), MOVIE)
+
+
+@pytest.mark.parametrize("code", [5, 7])
+@pytest.mark.skipif(importlib.util.find_spec("imagecodecs") is not None, reason="they can be read here")
+def test_a_packing_that_cannot_be_read_here_is_no_damage(tmp_path, code):
+    tifffile.imwrite(tmp_path / "m.tif", MOVIE, compression="zlib", photometric="minisblack")
+    with tifffile.TiffFile(tmp_path / "m.tif", mode="r+") as file:
+        for page in file.pages:
+            page.tags[259].overwrite(code)
+    told = complaint(files.load, tmp_path / "m.tif")
+    check_line(told, f"packed by {'LZW' if code == 5 else 'JPEG'}, which needs imagecodecs: pip install imagecodecs")
+    assert "damaged" not in told
+
+
+@pytest.mark.parametrize("name", ["m.ome.tif", "m.tif"])
+@pytest.mark.parametrize(
+    ("given", "kept"), [(np.int64, np.int32), (np.uint64, np.uint32), (np.float16, np.float32)]
+)  # fmt: skip
+def test_numbers_that_ome_has_no_type_for_are_kept_in_another(tmp_path, name, given, kept):
+    from napari_mufasa.files import layers
+
+    movie = (MOVIE // 64).astype(given)
+    layers.write_image(str(tmp_path / name), movie, {"scale": (1, 1, 1)})
+    back = files.load(tmp_path / name)
+    assert back.dtype == kept
+    np.testing.assert_array_equal(back, movie)
+
+
+@pytest.mark.parametrize("value", [2**40, -(2**40)])
+def test_whole_numbers_that_fit_none_are_told(tmp_path, value):
+    movie = MOVIE.astype(np.int64)
+    movie[5, 3, 3] = value
+    told = complaint(files.write_movie, tmp_path / "m.ome.tif", blocks(movie), movie.shape, movie.dtype)
+    check_line(told, f"{value} does not fit int32")
+    assert list(tmp_path.iterdir()) == []
+    files.write_movie(tmp_path / "m.zarr", blocks(movie), movie.shape, movie.dtype)
+    np.testing.assert_array_equal(files.load(tmp_path / "m.zarr"), movie)
 
 
 def test_wrong_shapes_are_told(tmp_path):

@@ -195,9 +195,12 @@ def movie_space(pixel_size_nm: float) -> dict[str, Any]:
 
 
 def contrast(movie: Any) -> tuple[float, float]:
-    """Contrast limits from eight frames spread over the movie, so that a lazy one stays lazy."""
+    """Contrast limits from eight frames spread over the movie, so that a lazy one stays lazy; of finite values only."""
     chosen = np.unique(np.linspace(0, len(movie) - 1, 8).astype(int))
     frames = np.stack([np.asarray(movie[int(t)], dtype=np.float32) for t in chosen])
+    frames = frames[np.isfinite(frames)]
+    if not frames.size:
+        return 0.0, 1.0
     low, high = (float(v) for v in np.percentile(frames, (1, 99.9)))
     # Coarse digitisation may leave a handful of levels: then the largest count is white.
     return low, high if high - low > 4 else max(float(frames.max()), low + 1e-3)

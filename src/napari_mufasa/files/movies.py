@@ -20,12 +20,13 @@ from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files import formats, growing
 from napari_mufasa.files.instrument import Instrument, read_instrument
-from napari_mufasa.files.opening import Guarded, check_zarr, no_other_files
+from napari_mufasa.files.opening import Guarded, check_all_there, check_zarr, no_other_files
 from napari_mufasa.files.whole import PathLike, replacing
 from napari_mufasa.provenance import Describes, made_by
 
 METADATA_KEY = "napari_mufasa"
 PHOTONS = "photons"  # the role of a movie that was denoised
+IN_OME = {"int64": np.int32, "uint64": np.uint32, "float16": np.float32}  # what OME has in place of what it has not
 MOST_PACKED = 100_000  # no image is packed to less than this part of it, each page of a TIFF having its own head
 
 
@@ -187,6 +188,7 @@ def _write_tiff(
 ) -> None:  # fmt: skip
     import tifffile
 
+    dtype = np.dtype(IN_OME.get(np.dtype(dtype).name, dtype))
     described: dict[str, Any] = {"axes": "TYX", "Description": json.dumps({METADATA_KEY: metadata})}
     if metadata["model"] is not None and metadata["seed"] is not None:
         # OME wants an identifier: a simulated movie is what its model and seed are, to the last byte.
@@ -198,8 +200,18 @@ def _write_tiff(
         described |= {"PhysicalSizeY": size_um, "PhysicalSizeYUnit": "µm"}
     large = int(np.prod(shape)) * np.dtype(dtype).itemsize > 2**31
     with tifffile.TiffWriter(path, ome=True, bigtiff=large) as writer:
-        pages = (frame for block in blocks for frame in np.asarray(block, dtype=dtype))
+        pages = (frame for block in blocks for frame in _stored_as(dtype, np.asarray(block)))
         writer.write(pages, shape=shape, dtype=dtype, photometric="minisblack", metadata=described)
+
+
+def _stored_as(dtype: np.dtype[Any], block: NDArray[Any]) -> NDArray[Any]:
+    """The same numbers as another type; raises where whole numbers do not fit it."""
+    if block.size and np.dtype(dtype).kind in "iu" and block.dtype.kind in "iu":
+        lowest, highest, room = int(block.min()), int(block.max()), np.iinfo(dtype)
+        if lowest < room.min or highest > room.max:
+            value = lowest if lowest < room.min else highest
+            raise MufasaError(f"{value} does not fit {dtype}, as TIFF would store it: save as .zarr, or use float32")
+    return np.asarray(block, dtype=dtype)
 
 
 def _lazy(array: Any, path: Path) -> Any:
@@ -244,6 +256,7 @@ def _open_tiff(path: Path) -> tuple[Any, dict[str, Any]]:
         if series.nbytes > MOST_PACKED * path.stat().st_size:
             size, claimed = checks.size(path.stat().st_size), checks.size(series.nbytes)
             raise MufasaError(f"{path} claims {claimed} of pixels in {size} of file: damaged; copy or export it anew")
+        check_all_there(series, file.ome_metadata or "", path)
         last = file.pages[n_pages - 1]
         if last.dataoffsets and last.dataoffsets[-1] + last.databytecounts[-1] > path.stat().st_size:
             raise MufasaError(f"{path} is truncated: copy it anew")

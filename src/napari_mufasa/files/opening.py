@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import re
@@ -51,7 +52,16 @@ class Guarded:
         try:
             return np.asarray(self._array[whole])
         except Exception as error:
-            raise MufasaError(f"{self._path} is damaged ({error}): copy or export it anew") from None
+            raise MufasaError(f"{self._path} {_why_unread(error)}") from None
+
+
+def _why_unread(error: Exception) -> str:
+    """What an error while reading means, and what to do: a decoder that is not installed is no damage."""
+    if "imagecodecs" in str(error) or isinstance(error, ImportError):
+        packing = re.search(r"(?:COMPRESSION|PREDICTOR)\.(\w+)", str(error))
+        how = f"by {packing[1]}" if packing else "in a way"
+        return f"is packed {how}, which needs imagecodecs: pip install imagecodecs, or export it uncompressed"
+    return f"is damaged ({error}): copy or export it anew"
 
 
 def check_zarr(path: Path) -> None:
@@ -97,6 +107,26 @@ def _codecs(description: Any) -> list[str]:
 
 def no_other_files(ome_xml: str, path: Path) -> None:
     """Raise for an OME description that sends its reader to files outside its folder."""
-    for name in re.findall(r"FileName\s*=\s*[\"']([^\"']*)[\"']", ome_xml):
+    for name in _file_names(ome_xml):
         if re.search(r"[/\\]|^\.\.", name):
             raise MufasaError(f"{path} refers to a file elsewhere ({name}): export the movie as one file")
+
+
+def check_all_there(series: Any, ome_xml: str, path: Path) -> None:
+    """Raise for a TIFF that announces frames which no file holds: they would be read as zeros."""
+    if series.kind not in ("ome", "mmstack"):  # all others are what is there
+        return
+    there = [page is not None for page in series]
+    if all(there):
+        return
+    for name in _file_names(ome_xml):
+        if not (path.parent / name).exists():
+            raise MufasaError(f"{path} refers to {name}, which is not there: copy it beside this file")
+    raise MufasaError(
+        f"{path} announces {len(there)} frames, {sum(there)} can be read: copy all files of the movie anew, or export it "
+        "as one file"
+    )
+
+
+def _file_names(ome_xml: str) -> list[str]:
+    return [html.unescape(name) for name in re.findall(r"FileName\s*=\s*[\"']([^\"']*)[\"']", ome_xml)]
