@@ -172,6 +172,26 @@ def test_controls_of_a_layer_come_in_a_later_turn(viewer, qtbot):
     assert type(controls.widgets[usual]).__name__ == "QtImageControls"
 
 
+def test_controls_that_napari_cannot_make_leave_a_window_that_lives_and_a_layer_that_can_go(viewer, qtbot, monkeypatch):
+    from napari_mufasa.widgets.turns.gently import gently
+
+    window, controls = viewer.window._qt_window, viewer.window._qt_viewer.controls
+
+    def fails(self, event):
+        raise ValueError("no controls")
+
+    with qtbot.capture_exceptions() as raised, monkeypatch.context() as patch:
+        with gently(viewer):
+            layer = viewer.add_image(np.zeros((32, 48)), contrast_limits=(0, 1))
+            patch.setattr(type(controls), "_add", fails)
+        qtbot.waitUntil(window.updatesEnabled, timeout=2000)
+    assert [str(error) for _, error, _ in raised] == ["no controls"]
+    raised.clear()
+    sys.last_value = sys.last_traceback = sys.last_exc = None  # they hold the viewer
+    viewer.layers.remove(layer)
+    assert not viewer.layers and not controls.widgets
+
+
 def test_the_selection_of_layers_added_is_told_once_and_in_a_later_turn(viewer, qtbot):
     """Who follows it then knows what it would know without us: napari's list of layers, and its viewer."""
     from napari_mufasa.widgets.turns.gently import gently

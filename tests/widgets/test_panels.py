@@ -272,6 +272,26 @@ def test_facts_of_a_single_frame_and_of_colours(viewer, open_panel):
     assert "photo has colours (RGB)" in panel.facts.text()
 
 
+@pytest.mark.parametrize("bad", ["one pixel", "all"])
+def test_a_movie_with_values_that_are_no_numbers_is_opened_and_can_be_taken_out(viewer, open_panel, tmp_path, qtbot, bad):
+    import tifffile
+
+    from napari_mufasa.widgets.steps.data import DataPanel
+
+    movie = np.random.default_rng(1).normal(100, 10, (6, 16, 24)).astype(np.float32)
+    movie[(0, 3, 4) if bad == "one pixel" else ...] = np.nan
+    tifffile.imwrite(tmp_path / "nan.tif", movie)
+    panel = open_panel(DataPanel, viewer)
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.open_movie(str(tmp_path / "nan.tif"))
+    qtbot.waitUntil(viewer.window._qt_window.updatesEnabled, timeout=5000)
+    layer = session_of(viewer).movie_layer
+    low, high = layer.contrast_limits
+    assert (low, high) == (0, 1) if bad == "all" else 60 < low < 100 < high < 140
+    viewer.layers.remove(layer)
+    assert not viewer.layers
+
+
 def test_workflow_shares_its_values_between_steps(with_movie, qtbot):
     widget = WorkflowWidget(with_movie)
     with_movie.window.add_dock_widget(widget)

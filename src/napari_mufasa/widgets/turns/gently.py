@@ -88,11 +88,14 @@ def _go_on(window: ref[Any], rest: Iterator[None]) -> None:
         if found is None:
             return
         with contextlib.suppress(RuntimeError):  # closed meanwhile
-            nothing_left = next(rest, True)
-            if nothing_left:
-                found.setUpdatesEnabled(True)
-            else:
-                _go_on(window, rest)
+            nothing_left: Any = True  # also where the next part fails
+            try:
+                nothing_left = next(rest, True)
+            finally:
+                if nothing_left:
+                    found.setUpdatesEnabled(True)
+                else:
+                    _go_on(window, rest)
 
     QTimer.singleShot(NEXT_TURN_MS, turn)
 
@@ -111,7 +114,11 @@ def _rest(layers: ref[Any], known: WeakSet[Any], controls: ref[Any], waiting: li
         panel = controls()
         if panel is not None and panel.widgets.get(event.value) is frame:  # else the layer was taken out meanwhile
             del panel.widgets[event.value]
-            panel._add(event)
+            try:
+                panel._add(event)
+            except Exception:
+                panel.widgets[event.value] = frame  # napari takes out no layer that has none
+                raise
             panel._populate()
             panel.removeWidget(frame)
             frame.deleteLater()
