@@ -117,11 +117,13 @@ class MovieBench(Bench[Observation]):
         return nuisance.nuisances(model, self.start)
 
     def matched(self, model: Model) -> Model:
-        """Molecules as far apart as the spots tell; brightness, width, density, baseline and background by moments."""
+        """Molecules as far apart as the spots tell; brightness, width, density, baseline and background by moments. As
+        many as there are spots to begin with, but where effects of the model hide many: then as many as it has."""
         measured, spots = as_table(self.names, self.measured.part("all")), self.measured.spots
         height, width = model.acquisition.shape_px
         model = nuisance.spaced(model, spots.positions_px, height * width)
-        model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
+        if not any(effect.hides_molecules for effect in model.effects):
+            model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
         for turn in range(MATCHING_ROUNDS):
             rows = self.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
             model = nuisance.moment_step(model, self.start, measured, as_table(self.names, rows[:, 0].mean(axis=0)))
