@@ -12,6 +12,7 @@ from tests.widgets.helpers import add_movie
 
 from napari_mufasa import widgets
 from napari_mufasa.channels import Channels, Rectangle, simulate_pair
+from napari_mufasa.channels import register as find_map
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import movie_space
 from napari_mufasa.widgets.steps.data import DataPanel
@@ -109,6 +110,40 @@ def test_registered_channels_are_read_side_by_side(two, run, qtbot, tmp_path):
     molecules.save(str(tmp_path))
     table = pd.read_csv(tmp_path / "traces.csv")
     assert {"donor", "acceptor", "efficiency"} <= set(table) and chosen not in set(table["molecule"])
+
+
+def test_frames_of_both_channels_count_from_the_movies_first_where_its_first_are_dark(viewer, movies, run, tmp_path):
+    from napari_mufasa.simulate.movie import simulate_dark
+
+    whole = np.concatenate([simulate_dark(WHOLE, 10, seed=3), movies[1]])
+    session = session_of(viewer)
+    session.set_movie(viewer.add_image(whole, name="movie"))
+    session.set_model(WHOLE, "test")
+    session.set_dark_frames(10)
+    session.set_channels(find_map(movies[0], *sides_of(Image(movies[0]), None, "left-right")))
+    molecules = MoleculesPanel(viewer)
+    viewer.window.add_dock_widget(molecules)
+    molecules.form.window.value = 20
+    run(molecules)
+    pair = molecules.points.metadata["napari_mufasa"]["pair"]
+    read = pair.molecules["bleaching_frame"]
+    wanted = read.where(read < 0, read + 10)
+    for layer in ("movie, molecules", "movie, acceptors"):
+        assert viewer.layers[layer].features["bleaching_frame"].tolist() == wanted.tolist()
+    molecules.select(0)
+    assert molecules.plot.data["frame"].tolist() == list(range(10, 110))
+    molecules.save(str(tmp_path))
+    assert pd.read_csv(tmp_path / "molecules.csv")["bleaching_frame"].tolist() == wanted.tolist()
+    starts = pair.molecules["window_start"][pair.kept] + 10
+    assert len(starts)
+    for name in ("traces", "donor", "acceptor"):
+        table = pd.read_csv(tmp_path / f"{name}.csv")
+        assert table.groupby("molecule")["frame"].min().tolist() == starts.tolist()
+    efficiency = pd.read_csv(tmp_path / "traces.csv").set_index(["molecule", "frame"])["efficiency"]
+    molecule = starts.index[0]
+    np.testing.assert_allclose(
+        efficiency[molecule], pair.efficiency[molecule, starts[molecule] - 10 :][:20], atol=1e-4
+    )  # fmt: skip
 
 
 def test_without_beads_nothing_is_registered(viewer):

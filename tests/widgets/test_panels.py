@@ -159,6 +159,54 @@ def test_traces_are_saved_as_the_contract_says(with_movie, open_panel, run, tmp_
     assert set(traces["molecule"]) == set(molecules.loc[molecules["kept"], "molecule"])
 
 
+@pytest.fixture(scope="module")
+def dark_first(bright_model, bright_movie):
+    """The bright movie after 21 frames without light, of an odd number of which one more is left out."""
+    from napari_mufasa.simulate.movie import simulate_dark
+
+    return np.concatenate([simulate_dark(bright_model, 21, seed=9), bright_movie.movie])
+
+
+@pytest.mark.parametrize("follow", [False, True])
+def test_frames_of_traces_count_from_the_movies_first_where_its_first_are_dark(
+    viewer, open_panel, run, bright_model, dark_first, tmp_path, follow
+):
+    session = session_of(viewer)
+    session.set_movie(viewer.add_image(dark_first, name="dark first"))
+    session.set_model(bright_model, "test")
+    session.set_dark_frames(21)
+    panel = open_panel(MoleculesPanel, viewer)
+    panel.form.follow_molecules.value, panel.form.window.value = follow, 5
+    run(panel)
+    found = extract_traces(
+        dark_first[22:], bright_model.camera, dark_first[:21], threshold_value=6.0, min_snr=1.0, window=5,
+        follow_molecules=follow,
+    )  # fmt: skip
+    wanted = found.molecules.copy()
+    names = ["bleaching_frame", "window_start"] + (["first_found", "last_found"] if follow else [])
+    assert (wanted[names] >= 0).any().all() and (follow or (wanted[names] < 0).any().all())
+    for name in names:
+        wanted.loc[wanted[name] >= 0, name] += 22
+    assert panel.points.features["bleaching_frame"].tolist() == wanted["bleaching_frame"].tolist()
+    shown = int(wanted["bleaching_frame"].argmax())
+    panel.select(shown)
+    assert panel.plot.data["frame"].tolist() == list(range(22, 81))
+    assert f"bleached at frame {wanted['bleaching_frame'][shown]} " in panel.plot.title.text()
+    panel.save(str(tmp_path))
+    saved = pd.read_csv(tmp_path / "molecules.csv")
+    assert saved[names].equals(wanted[names])
+    starts = pd.read_csv(tmp_path / "traces.csv").groupby("molecule")["frame"].min()
+    kept = wanted[found.kept].set_index("molecule")["window_start"]
+    assert len(kept) and starts.to_dict() == kept.to_dict()
+    if follow:
+        paths = pd.read_csv(tmp_path / "paths.csv").groupby("molecule")["frame"].agg(["min", "max"])
+        assert paths["min"].tolist() == wanted["first_found"][found.kept].tolist()
+        assert paths["max"].tolist() == wanted["last_found"][found.kept].tolist()
+    # What the other steps are handed is as it was read.
+    assert session.traces.molecules["bleaching_frame"].equals(found.molecules["bleaching_frame"])
+    assert np.array_equal(session.traces.all_traces, found.all_traces)
+
+
 def test_compare_says_how_near_the_true_model_is(with_movie, open_panel, run):
     panel = open_panel(ComparePanel, with_movie)
     panel.form.fit.value = False

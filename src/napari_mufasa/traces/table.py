@@ -18,8 +18,18 @@ if TYPE_CHECKING:
     from napari_mufasa.traces.extract import TraceSet
 
 
+FRAMES = ("frame", "bleaching_frame", "window_start", "first_found", "last_found")  # columns that name a frame
+
+
+def counted_from(first_frame: int, table: pd.DataFrame) -> pd.DataFrame:
+    """A table of traces that begin with the movie's `first_frame`, its frames counted from the movie's first; −1 is
+    none."""
+    frames = (name for name in FRAMES if name in table)
+    return table.assign(**{name: table[name] + first_frame * (table[name] >= 0) for name in frames})
+
+
 def trace_table(traces: TraceSet) -> pd.DataFrame:
-    """The kept traces, tidy (molecule, frame, photoelectrons); frames count from the movie's first."""
+    """The kept traces, tidy (molecule, frame, photoelectrons); frames count from the first that was read."""
     kept = traces.molecules[traces.kept]
     table = tidy(traces.traces, cast(Unit, traces.units), kept["molecule"].to_numpy())
     if traces.options.window is not None:
@@ -58,19 +68,21 @@ def openfret_table(path: PathLike, traces: TraceSet, acquisition: Acquisition | 
 
 def write_traces(
     directory: PathLike, traces: TraceSet, *, hdf5: bool = False, openfret: bool = False,
-    acquisition: Acquisition | None = None,
+    acquisition: Acquisition | None = None, first_frame: int = 0,
 ) -> None:  # fmt: skip
     """traces.csv with the kept traces and molecules.csv with every candidate and its reason; of molecules that were
     followed paths.csv; with `hdf5` traces.h5, with `openfret` traces.openfret.json, which tells the exposure of
-    the `acquisition`.
+    the `acquisition`. Where the traces begin with a later `first_frame` of the movie, the frames of the CSV tables count
+    from the movie's first, too; those of the others from the first of the traces that stand beside them.
 
     traces.h5 holds the kept traces (``traces``, ``molecule``), the table's columns in the group ``molecules`` and
     every candidate's whole trace in ``all_traces``.
     """
-    write_table(Path(directory) / "traces.csv", trace_table(traces))
-    write_table(Path(directory) / "molecules.csv", traces.molecules)
+    tables = {"traces": trace_table(traces), "molecules": traces.molecules}
     if traces.path_px is not None:
-        write_table(Path(directory) / "paths.csv", path_table(traces).round(3))
+        tables["paths"] = path_table(traces).round(3)
+    for name, table in tables.items():
+        write_table(Path(directory) / f"{name}.csv", counted_from(first_frame, table))
     if openfret:
         openfret_table(Path(directory) / "traces.openfret.json", traces, acquisition)
     if not hdf5:

@@ -57,7 +57,7 @@ def compare(
         seed=seed, fit=fit, progress=progress, cancel=cancel,
     )  # fmt: skip
     assert found.measured is not None  # it was a movie
-    return [molecules_on(movie, found.measured, comparison=found)]
+    return [molecules_on(movie, found.measured, measurement.first_frame, comparison=found)]
 
 
 compare_widget = magic_factory(compare, call_button="Compare", widget_init=begin)

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Generator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from napari_mufasa.widgets.turns.steering import steering
 
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import NDArray
 
     from napari_mufasa.channels import PairedTraces
     from napari_mufasa.model.setup import Camera
@@ -69,8 +71,8 @@ def traces(
         channels: Registered donor and acceptor of whole frames: molecules are looked for in the light of both
 
     Returns:
-        One layer of points, a row of features for each candidate; its ``metadata["napari_mufasa"]["traces"]`` is the
-        `TraceSet`. Of molecules that were followed also a layer of tracks, the paths of the kept ones; of two channels
+        One layer of points, a row of features for each candidate, frames counted from the layer's first; its
+        ``metadata["napari_mufasa"]["traces"]`` is the `TraceSet`, which begins with "first_frame" of the layer. Of molecules that were followed also a layer of tracks, the paths of the kept ones; of two channels
         also the places in the acceptor's, and the `PairedTraces` under "pair".
     """
     from napari_mufasa.traces import extract_traces
@@ -83,9 +85,9 @@ def traces(
         "progress": progress, "cancel": cancel,
     }  # fmt: skip
     if channels is not None:
-        return pair_on(movie, pair_of(measurement, camera, channels, options))
+        return pair_on(movie, pair_of(measurement, camera, channels, options), measurement.first_frame)
     found = extract_traces(measurement.movie, camera, measurement.dark, **options)
-    points = molecules_on(movie, found)
+    points = molecules_on(movie, found, measurement.first_frame)
     return [points] if found.path_px is None or not found.kept.any() else [
         points, paths_on(movie, found, measurement.first_frame)
     ]  # fmt: skip
@@ -103,18 +105,23 @@ def pair_of(measured: Measurement, camera: "Camera", channels: Any, options: dic
 traces_widget = magic_factory(traces, call_button="Extract traces", widget_init=begin)
 
 
-def pair_on(movie: Any, paired: "PairedTraces") -> list[Layer]:
+def pair_on(movie: Any, paired: "PairedTraces", first_frame: int = 0) -> list[Layer]:
     """Rings at all candidates in the donor's channel, and the same molecules in the acceptor's."""
     sides = paired.channels
-    donors = molecules_on(movie, paired.together, sides.donor.corner_px, pair=paired)
-    acceptors = molecules_on(movie, paired.acceptor, sides.acceptor.corner_px)
+    donors = molecules_on(movie, paired.together, first_frame, sides.donor.corner_px, pair=paired)
+    acceptors = molecules_on(movie, paired.acceptor, first_frame, sides.acceptor.corner_px)
     acceptors.name = f"{movie.name}, acceptors"
     return [donors, acceptors]
 
 
-def molecules_on(movie: Any, found: "TraceSet", corner_px: Any = (0, 0), **more: Any) -> Points:
-    """Rings at all candidates, green where they are kept; their places count from a corner (y, x)."""
-    table = found.molecules
+def molecules_on(
+    movie: Any, found: "TraceSet", first_frame: int = 0, corner_px: Any = (0, 0), **more: Any
+) -> Points:  # fmt: skip
+    """Rings at all candidates, green where they are kept; `first_frame` of the movie is the first that was read, and
+    their places count from a corner (y, x)."""
+    from napari_mufasa.traces.table import counted_from
+
+    table = counted_from(first_frame, found.molecules)
     features = table[[name for name in COLUMNS if name in table]].copy()
     places = found.positions_px + np.asarray(corner_px)
     features.insert(1, "y", places[:, 0])
@@ -122,7 +129,7 @@ def molecules_on(movie: Any, found: "TraceSet", corner_px: Any = (0, 0), **more:
     return points_on(
         movie, places, features.reset_index(drop=True), f"{movie.name}, molecules",
         size=max(4.0, 5 * found.sigma_px), face_color="transparent", border_width=0.07, border_color=_colours(table),
-        symbol="disc", ours={"traces": found} | more,
+        symbol="disc", ours={"traces": found, "first_frame": first_frame} | more,
     )  # fmt: skip
 
 
@@ -163,6 +170,11 @@ class MoleculesPanel(Panel):
         found: TraceSet | None = stored(self.points, "traces")
         return found
 
+    @property
+    def first_frame(self) -> int:
+        """The frame of the movie with which they begin."""
+        return stored(self.points, "first_frame") or 0
+
     def prepare(self) -> None:
         self.session.measurement()
         movie = self.form.movie.value
@@ -194,19 +206,25 @@ class MoleculesPanel(Panel):
         """Show the trace of one candidate."""
         import pandas as pd
 
-        traces = self.traces
+        from napari_mufasa.traces.table import counted_from
+
+        traces, first = self.traces, self.first_frame
         if traces is None or not 0 <= molecule < len(traces.molecules):
             return
         self.shown = molecule
         self.toggle_button.setEnabled(True)
-        found, trace, lit = traces.molecules.iloc[molecule], traces.all_traces[molecule], traces.lit[molecule]
+        found = counted_from(first, traces.molecules.iloc[[molecule]]).iloc[0]
+        trace, lit = traces.all_traces[molecule], traces.lit[molecule]
+        frames = np.arange(first, first + len(trace))
         if (pair := stored(self.points, "pair")) is not None:
             both = pair.donor.all_traces[molecule], pair.acceptor.all_traces[molecule], pair.efficiency[molecule]
-            data = pd.DataFrame({"donor": both[0], "acceptor": both[1], "efficiency": both[2]}).rename_axis("frame")
-            self.plot.draw(drawing("donor_and_acceptor", *both, whole=True), data.reset_index(), molecule_line(found))
-            return
-        data = pd.DataFrame({"frame": np.arange(len(trace)), "photoelectrons": trace, "on": lit})
-        self.plot.draw(drawing("lit_trace", trace, lit, int(found["bleaching_frame"])), data, molecule_line(found))
+            data = pd.DataFrame({"frame": frames, "donor": both[0], "acceptor": both[1], "efficiency": both[2]})
+            picture = drawing("donor_and_acceptor", *(_from_start(side, first) for side in both), whole=True)
+        else:
+            data = pd.DataFrame({"frame": frames, "photoelectrons": trace, "on": lit})
+            whole, on = _from_start(trace, first), _from_start(lit, first) > 0
+            picture = drawing("lit_trace", whole, on, int(found["bleaching_frame"]))
+        self.plot.draw(picture, data, molecule_line(found))
 
     def _on_selection(self, *_: Any) -> None:
         """The layer's own table says which molecule a point is; one that was added by hand is none."""
@@ -244,15 +262,35 @@ class MoleculesPanel(Panel):
 
     def save(self, folder: str) -> str:
         """Write traces.csv and molecules.csv (docs/files.md)."""
-        from napari_mufasa.channels.table import write_pair
         from napari_mufasa.traces.table import write_traces
 
         assert self.traces is not None
         if (pair := stored(self.points, "pair")) is not None:
-            write_pair(folder, pair)
+            _write_pair(folder, pair, self.first_frame)
             return f"traces.csv, donor.csv, acceptor.csv and molecules.csv in {folder}"
-        write_traces(folder, self.traces)
+        write_traces(folder, self.traces, first_frame=self.first_frame)
         return f"traces.csv and molecules.csv in {folder}"
+
+
+def _write_pair(folder: str, pair: "PairedTraces", first_frame: int) -> None:
+    """Write a pair; the frames of its tables count from the movie's first."""
+    from napari_mufasa.channels.table import pair_table, write_pair
+    from napari_mufasa.files.whole import write_table
+    from napari_mufasa.traces.table import counted_from, trace_table
+
+    write_pair(folder, pair)
+    if first_frame:
+        tables = {
+            "traces": pair_table(pair), "donor": trace_table(pair.donor), "acceptor": trace_table(pair.acceptor),
+            "molecules": pair.molecules,
+        }  # fmt: skip
+        for name, table in tables.items():
+            write_table(Path(folder) / f"{name}.csv", counted_from(first_frame, table))
+
+
+def _from_start(values: "NDArray[Any]", first_frame: int) -> "NDArray[np.float64]":
+    """Values (frame,) from the movie's first frame on; nothing is known of those before `first_frame`."""
+    return np.pad(np.asarray(values, float), (first_frame, 0), constant_values=np.nan)
 
 
 def _colours(table: "pd.DataFrame") -> list[str]:
