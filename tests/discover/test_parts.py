@@ -14,6 +14,7 @@ from napari_mufasa.discover.coordinates import changed, model_at, room
 from napari_mufasa.discover.derivatives import free_steps
 from napari_mufasa.discover.library import as_seen, ray_settings, read_by_halves
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
+from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.reporting import detectable, sure_of_names
 from napari_mufasa.discover.rules import ALARM, FORM_ERROR
@@ -560,6 +561,22 @@ def test_moments_are_light_whatever_gain_the_movie_is_seen_with(with_dark):
     assert there.optics.background_photons_per_px == pytest.approx(model.optics.background_photons_per_px + 10)
     assert there.camera.baseline_adu == pytest.approx(model.camera.baseline_adu + 3)
     assert there.camera.electrons_per_adu == model.camera.electrons_per_adu  # left to all observables together
+
+
+def test_matching_begins_with_the_molecules_of_a_model_that_hides_many_or_else_with_the_spots(monkeypatch):
+    """As many as there are spots would each be far too bright where most molecules are too dim to be found; but no more
+    than fit the field as far apart as its spots are."""
+    monkeypatch.setattr("napari_mufasa.discover.movie_bench.MATCHING_ROUNDS", 0)
+    values = {"acquisition.n_frames": 100, "acquisition.shape_px": (64, 64), "sample.n_molecules": 120}
+    plain = nm.preset("FF").with_values(values)
+    hiding = plain.with_effects(effect_class("brightness_heterogeneity")(spread=2.0))
+    for model in (plain, hiding):
+        bench = MovieBench(prepare(nm.simulate(hiding, seed=4).movie, model, None), 1)
+        spots = bench.measured.part("all")[bench.names.index("spots")] ** 2
+        assert spots < 0.4 * 120
+        there = bench.matched(bench.start).sample
+        fit = 0.4 * 64**2 / (np.pi * there.min_distance_px**2 / 4) if there.min_distance_px else 120
+        assert there.n_molecules == pytest.approx(min(120, fit) if model is hiding else 1.15 * spots, abs=0.5)
 
 
 def test_preparation_crops_large_movies_and_says_so():

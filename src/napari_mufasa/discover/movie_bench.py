@@ -122,8 +122,8 @@ class MovieBench(Bench[Observation]):
         measured, spots = as_table(self.names, self.measured.part("all")), self.measured.spots
         height, width = model.acquisition.shape_px
         model = nuisance.spaced(model, spots.positions_px, height * width)
-        if not any(effect.hides_molecules for effect in model.effects):
-            model = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
+        hidden = any(effect.hides_molecules for effect in model.effects)
+        model = nuisance.with_molecules(model, model.sample.n_molecules if hidden else 1.15 * measured["spots"] ** 2)
         for turn in range(MATCHING_ROUNDS):
             rows = self.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
             model = nuisance.moment_step(model, self.start, measured, as_table(self.names, rows[:, 0].mean(axis=0)))
