@@ -113,6 +113,18 @@ def test_what_is_finished_is_not_done_again(folder, capsys, monkeypatch):
     assert cli(capsys, *shared, "--follow-drift", "--overwrite")[0] == 0 and len(counted) == 5
 
 
+def test_a_step_that_is_done_anew_leaves_nothing_of_the_old(folder):
+    (entry, *_) = read_entries(folder / "movies", model=folder / "model.json")
+    (first,) = run([entry], folder / "out", Settings(steps=("traces",), follow_molecules=True))
+    place = folder / "out/a-m0/traces"
+    assert not first.error and (place / "paths.csv").exists()
+    (place / "notes.txt").write_text("mine")
+    (second,) = run([entry], folder / "out", Settings(steps=("traces",)), overwrite=True)
+    assert not second.error and second.kept == ()
+    made = ["done.json", "molecules.csv", "molecules.png", "notes.txt", "traces.csv", "traces.png"]
+    assert sorted(path.name for path in place.iterdir()) == made
+
+
 def test_a_movie_that_cannot_be_done_is_told_and_the_others_are_done(folder, capsys):
     (folder / "movies/a/m0.tif").write_bytes(b"II*\0 no movie")
     shared = ("batch", folder / "movies", "--model", folder / "model.json", "--do", "traces", "--out", folder / "out")

@@ -27,6 +27,7 @@ import napari_mufasa as nm
 from napari_mufasa import files
 from napari_mufasa.cli import main
 from napari_mufasa.cli.app import app, spread_lists
+from napari_mufasa.files.outputs import DIAGNOSIS, is_one_of
 from napari_mufasa.model.model import Model
 
 VERBS = {
@@ -322,6 +323,7 @@ def test_diagnose_takes_a_table_of_traces(cli, model_file, tmp_path, monkeypatch
     code, out, _ = cli("diagnose", tmp_path / "t.csv", "--traces", "--model", model_file, "--out", tmp_path / "d")
     assert code == 0 and "Missing from the model: photobleaching." in out and "W1 (photoelectrons per frame)" in out
     assert {"report.html", "model.json", "report.json", "traces.png", "curves.png"} <= set(leftovers(tmp_path / "d"))
+    assert all(is_one_of(name, DIAGNOSIS) for name in leftovers(tmp_path / "d"))
     report = json.loads((tmp_path / "d/report.json").read_text())
     assert Model.from_json(tmp_path / "d/model.json") == Model.from_dict(report["model"])
     # Of 40 traces over 1.2 mean lives, fitted and told apart by two laws: six other movies scatter by e^0.41.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -19,7 +20,7 @@ import napari_mufasa as nm
 from napari_mufasa import files
 from napari_mufasa.cli import main
 from napari_mufasa.errors import Cancelled, MufasaError
-from napari_mufasa.files import growing
+from napari_mufasa.files import growing, outputs
 from napari_mufasa.files.traces import write_trace_file
 from napari_mufasa.simulate.movie import SimulatedAcquisition
 
@@ -92,15 +93,63 @@ def test_files_of_others_in_the_folder_are_left_alone(place):
 
 def test_every_name_that_a_verb_writes_is_looked_for_before(place, monkeypatch):
     """What is written and what is asked for beforehand are one list."""
-    from fnmatch import fnmatch
-
-    from napari_mufasa.cli import making, measuring
-
     run("traces", "movie.tif", "--model", "model.json", "--hdf5", "--out", "t")
     run("compare", "--traces", "traces.csv", "--model", "model.json", "--out", "c")
     run("simulate", "--model", "model.json", "--out", "s.tif", "--truth", "truth")
-    for folder, known in (("t", measuring.TRACES), ("c", measuring.COMPARISON), ("truth", making.TRUTH)):
-        assert all(any(fnmatch(name, pattern) for pattern in known) for name in names(place / folder)), folder
+    for folder, known in (("t", outputs.TRACES), ("c", outputs.COMPARISON), ("truth", outputs.TRUTH)):
+        assert all(outputs.is_one_of(name, known) for name in names(place / folder)), folder
+
+
+def test_a_folder_that_is_written_again_is_of_one_run(place):
+    words = ("traces", "movie.tif", "--model", "model.json", "--out", "t")
+    assert run(*words, "--hdf5", "--openfret") == 0
+    kept = {"notes.txt": "mine", "my traces.csv": "mine", "other.png": "mine", ".paths.csv": "mine"}
+    (place / "t/donor.csv").write_text("of an earlier run of two channels")
+    for name, text in kept.items():
+        (place / "t" / name).write_text(text)
+    assert run(*words, "--overwrite") == 0
+    assert names(place / "t") == sorted(
+        [*kept, "molecules.csv", "molecules.png", "traces.csv", "traces.png", "traces.provenance.json"]
+    )
+    assert {name: (place / "t" / name).read_text() for name in kept} == kept
+
+
+def test_what_is_written_anew_and_fails_leaves_the_old(tmp_path):
+    (tmp_path / "t").mkdir()
+    (tmp_path / "t/traces.h5").write_text("old")
+    with pytest.raises(Cancelled), files.filling(tmp_path / "t", outputs.TRACES) as folder:
+        assert not outputs.is_one_of(folder.name, outputs.TRACES)
+        (folder / "traces.csv").write_text("new")
+        raise Cancelled
+    assert names(tmp_path) == ["t"] and names(tmp_path / "t") == ["traces.h5"]
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_folder_may_be_a_disk_of_its_own(tmp_path, monkeypatch, there):
+    """As with `docker -v`: from beside it nothing can be moved into it."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    move = os.replace
+
+    def on_one_disk(source, target):
+        if disk not in Path(source).parents:
+            raise OSError(errno.EXDEV, "Invalid cross-device link", str(source))
+        move(source, target)
+
+    monkeypatch.setattr(os, "replace", on_one_disk)
+    out = disk if there else disk / "t"
+    with files.filling(out) as folder:
+        (folder / "traces.csv").write_text("new")
+    assert names(out) == ["traces.csv"] and names(tmp_path) == ["disk"]
+
+
+def test_a_folder_below_one_that_is_locked_is_written_into(place, monkeypatch):
+    may = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).resolve() != place and may(path, mode))
+    (place / "t").mkdir()
+    words = ("traces", "movie.tif", "--model", "model.json", "--out")
+    assert run(*words, "t") == 0 and "traces.csv" in names(place / "t")
+    assert run(*words, "u") == 2 and not (place / "u").exists()
 
 
 # failures --------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from napari_mufasa import checks, files, provenance
 from napari_mufasa.batch.movies import Entry
 from napari_mufasa.batch.settings import Settings
-from napari_mufasa.batch.steps import STEPS
+from napari_mufasa.batch.steps import STEPS, WRITTEN
 from napari_mufasa.cluster import in_order, unwanted
 from napari_mufasa.errors import MufasaError
 
@@ -116,7 +116,7 @@ class _Movie:
                     told |= seen
                 if done is not None:  # of another run; while its parts are replaced it is none
                     (place / DONE).unlink()
-                with files.filling(place) as temporary:
+                with files.filling(place, WRITTEN[step]) as temporary:
                     said = STEPS[step](temporary, read, self.model, dark, settings, cancel=cancel)
                 said |= seen
                 files.write_json(place / DONE, {"made_from": identity[step], "told": said, **provenance.made_by()})

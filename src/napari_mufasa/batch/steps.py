@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_mufasa import files
+from napari_mufasa.files.outputs import COMPARISON, DENOISED, DIAGNOSIS, TRACES
 
 if TYPE_CHECKING:
     from napari_mufasa.batch.settings import Settings
@@ -90,4 +91,8 @@ def diagnose(folder: Path, movie: files.Movie, model: Model, dark: Any, settings
 
 STEPS: Mapping[str, Callable[..., Told]] = {
     "denoise": denoise, "traces": traces, "compare": compare, "diagnose": diagnose,
+}  # fmt: skip
+#: What each writes, as patterns.
+WRITTEN: Mapping[str, tuple[str, ...]] = {
+    "denoise": DENOISED, "traces": TRACES, "compare": COMPARISON, "diagnose": DIAGNOSIS,
 }  # fmt: skip

@@ -12,7 +12,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -152,11 +151,13 @@ def check_room(path: Path, n_bytes: int) -> None:
 
 def check_folder_out(path: Path, overwrite: bool, names: Sequence[str], *inputs: Path | None) -> None:
     """`names`: what the verb writes, as patterns of file names; `inputs`: what it reads."""
+    from napari_mufasa.files.outputs import is_one_of
+
     for each in inputs:
-        if each is not None and path.is_dir() and any(fnmatch(each.name, name) for name in names):
+        if each is not None and path.is_dir() and is_one_of(each.name, names):
             check_not_read(path / each.name, each)
     if path.is_dir() and not overwrite:
-        there = sorted(file.name for file in path.iterdir() if any(fnmatch(file.name, name) for name in names))
+        there = sorted(file.name for file in path.iterdir() if is_one_of(file.name, names))
         if there:
             more = f" and {len(there) - 1} more" if len(there) > 1 else ""
             raise MufasaError(
@@ -164,13 +165,11 @@ def check_folder_out(path: Path, overwrite: bool, names: Sequence[str], *inputs:
             )
     if path.exists() and not path.is_dir():
         raise MufasaError(f"{path} is a file: give the path of a folder")
-    # The folder is made with its parents, and its files come from a temporary folder beside it.
-    standing = next(parent for parent in path.absolute().parents if parent.exists())
+    # A folder that is not there is made with its parents; one that is there is all that is written into.
+    standing = next(place for place in (path.absolute(), *path.absolute().parents) if place.exists())
     if not standing.is_dir():
         raise MufasaError(f"{standing} is a file: {path} cannot be made inside it; choose another output folder")
-    _check_writable(path if path.is_dir() else standing)
-    if path.is_dir():
-        _check_writable(standing)
+    _check_writable(standing)
 
 
 def _check_writable(folder: Path) -> None:
@@ -290,12 +289,14 @@ def note(text: str) -> None:
 
 
 @contextlib.contextmanager
-def filling(out: Path, model: Model, seed: int | None = None, inputs: Sequence[Path | None] = ()) -> Iterator[Path]:
-    """The folder of a verb's output, whole or not there, with where it comes from."""
+def filling(
+    out: Path, names: Sequence[str], model: Model, seed: int | None = None, inputs: Sequence[Path | None] = ()
+) -> Iterator[Path]:
+    """The folder of a verb's output, whole or not there, with where it comes from; `names` as in `check_folder_out`."""
     from napari_mufasa import files
 
     made = provenance.provenance(model, seed, inputs)
-    with files.filling(out) as folder:
+    with files.filling(out, names) as folder:
         yield folder
         files.write_json(folder / f"{(made['command'] or 'python').split()[0]}.{provenance.FILE}", made)
 

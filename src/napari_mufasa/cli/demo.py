@@ -15,6 +15,7 @@ import numpy as np
 
 from napari_mufasa import files
 from napari_mufasa.errors import Cancelled
+from napari_mufasa.files.outputs import DIAGNOSIS
 
 if TYPE_CHECKING:
     from napari_mufasa.discover.result import Report
@@ -99,7 +100,7 @@ def investigate(
     say("Diagnosing …")
     report = discover.diagnose(movie, model, dark, progress=progress, cancel=cancel)
     folder = directory / "diagnosis"
-    with files.filling(folder) as filled:
+    with files.filling(folder, DIAGNOSIS) as filled:
         html_report.export(filled, report, traces.traces, f"{n_frames} frames of {height} × {width} px")
     for line in summary(report):
         say(line)

@@ -32,15 +32,6 @@ if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
 
 TABLES = (".csv", ".h5", ".hdf5", ".traces")  # of traces; TIFF may be either
-WRITTEN = (
-    "report.json",
-    "report.html",
-    "model.json",
-    "observables.csv",
-    "*.png",
-    "diagnose.provenance.json",
-    "refine.provenance.json",
-)
 
 
 def diagnose(
@@ -72,10 +63,11 @@ def diagnose(
 ) -> None:
     """Find the physical effect the model lacks; write report.json, report.html, figures and the completed model."""
     from napari_mufasa import discover
+    from napari_mufasa.files.outputs import DIAGNOSIS
     from napari_mufasa.files.traces import read_trace_file
     from napari_mufasa.model.model import Model
 
-    console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark, check)
+    console.check_folder_out(out, overwrite, DIAGNOSIS, movie, model, dark, check)
     believed = Model.from_json(model)
     if check is not None and halves:
         raise MufasaError("--check and --halves: one of them at a time")
@@ -130,9 +122,10 @@ def refine(
 ) -> None:
     """Add the effects you name, fit them, and show how the error changes."""
     from napari_mufasa import discover
+    from napari_mufasa.files.outputs import DIAGNOSIS
     from napari_mufasa.model.model import Model
 
-    console.check_folder_out(out, overwrite, WRITTEN, movie, model, dark)
+    console.check_folder_out(out, overwrite, DIAGNOSIS, movie, model, dark)
     believed = Model.from_json(model)
     effects = [_effect(believed, text) for text in add]
     background = console.dark_frames(dark)
@@ -227,10 +220,11 @@ def _finish_movie(out: Path, report: Report, recorded: Any, background: Any, rea
 
 
 def _finish(out: Path, report: Report, traces: Any, subtitle: str, read: Sequence[Path | None]) -> None:
+    from napari_mufasa.files.outputs import DIAGNOSIS
     from napari_mufasa.report import html as html_report
     from napari_mufasa.report.words import summary
 
-    with console.filling(out, report.base, report.seed, read) as folder:
+    with console.filling(out, DIAGNOSIS, report.base, report.seed, read) as folder:
         html_report.export(folder, report, traces, subtitle)
     for line in summary(report):
         typer.echo(line)

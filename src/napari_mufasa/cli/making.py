@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from napari_mufasa.model.model import Model
     from napari_mufasa.simulate.movie import SimulatedAcquisition
 
-TRUTH = ("emission.csv", "positions.csv", "simulate.provenance.json")
-
 
 def simulate(
     out: Annotated[Path, typer.Option("--out", metavar="MOVIE", help="MOVIE.ome.tif or MOVIE.zarr.")],
@@ -56,6 +54,7 @@ def simulate(
     import numpy as np
 
     from napari_mufasa import files
+    from napari_mufasa.files.outputs import TRUTH
     from napari_mufasa.report.words import hardly_seen
     from napari_mufasa.simulate.layout import read_positions
     from napari_mufasa.simulate.movie import SimulatedAcquisition
@@ -118,12 +117,13 @@ def _write_truth(directory: Path, acquisition: SimulatedAcquisition, read: Seque
     import pandas as pd
 
     from napari_mufasa import files
+    from napari_mufasa.files.outputs import TRUTH
 
     molecule, frame = np.nonzero(acquisition.emission)
     photons = acquisition.emission[molecule, frame]
     emission = pd.DataFrame({"molecule": molecule, "frame": frame, "photons": photons})
     positions = pd.DataFrame(acquisition.scene.positions_px, columns=["y_px", "x_px"])
-    with console.filling(directory, acquisition.model, acquisition.seed, read) as folder:
+    with console.filling(directory, TRUTH, acquisition.model, acquisition.seed, read) as folder:
         files.write_table(folder / "emission.csv", emission)
         files.write_table(folder / "positions.csv", positions.rename_axis("molecule").reset_index())
 

@@ -48,15 +48,6 @@ from napari_mufasa.errors import MufasaError
 if TYPE_CHECKING:
     from napari_mufasa.model.setup import Camera
 
-# What verbs write, as patterns.
-TRACES = (
-    "traces.csv", "molecules.csv", "paths.csv", "traces.h5", "traces.openfret.json", "molecules.png",
-    "traces.png", "traces.provenance.json",
-)  # fmt: skip
-COMPARISON = (
-    "report.json", "w1.png", "counts.png", "distributions.png", "measured_traces.png", "compare.provenance.json",
-)  # fmt: skip
-
 
 def denoise(
     movie: MovieFile,
@@ -170,12 +161,13 @@ def traces(
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
     from napari_mufasa import files
+    from napari_mufasa.files.outputs import PAIR, TRACES
     from napari_mufasa.model.model import Model
     from napari_mufasa.report import figures
     from napari_mufasa.traces import extract_traces
     from napari_mufasa.traces.table import write_traces
 
-    console.check_folder_out(out, overwrite, (*TRACES, *registering.PAIR), movie, model, dark, channels)
+    console.check_folder_out(out, overwrite, (*TRACES, *PAIR), movie, model, dark, channels)
     options = {
         "window": window, "best": best, "max_steps": max_steps, "min_steps": min_steps, "follow_drift": follow_drift,
         "profile": profile, "subtract_background": not with_background, "threshold": threshold,
@@ -202,7 +194,7 @@ def traces(
             **options,
             **work.all(),
         )
-    with console.filling(out, believed, None, (movie, model, dark)) as folder:
+    with console.filling(out, (*TRACES, *PAIR), believed, None, (movie, model, dark)) as folder:
         write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
         figures.write(folder, figures.molecule_drawings(recorded, found))
     console.tell_molecules(out, found)
@@ -239,6 +231,7 @@ def compare(
     """Measure the distance W1 between measurement and model, with baselines and floor."""
     from napari_mufasa import compare as comparing
     from napari_mufasa import files
+    from napari_mufasa.files.outputs import COMPARISON
     from napari_mufasa.model.model import Model
     from napari_mufasa.report import figures
 
@@ -261,7 +254,7 @@ def compare(
             result = comparing.compare_traces(
                 table, believed, profile=profile, background_subtracted=without, **shared, **work.both()
             )
-    with console.filling(out, believed, seed, (movie or traces, model, dark)) as folder:
+    with console.filling(out, COMPARISON, believed, seed, (movie or traces, model, dark)) as folder:
         files.write_json(folder / "report.json", result.report())
         figures.write(folder, figures.comparison_drawings(result))
     from napari_mufasa.report.lines import w1_rows

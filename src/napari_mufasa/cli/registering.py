@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from napari_mufasa.files import Movie
     from napari_mufasa.model.model import Model
 
-# What traces of two channels writes beside what traces of one does, as patterns.
-PAIR = ("donor.csv", "acceptor.csv", "channels.json", "efficiency.png")
 RECTANGLE = "left, right, top, bottom or Y0:Y1,X0:X1 in pixels"
 
 
@@ -80,6 +78,7 @@ def pair_traces(
     from napari_mufasa import files
     from napari_mufasa.channels import Channels, extract_pair
     from napari_mufasa.channels.table import write_pair
+    from napari_mufasa.files.outputs import PAIR, TRACES
     from napari_mufasa.model.model import Model
     from napari_mufasa.report import figures
     from napari_mufasa.report.lines import efficiency_line
@@ -99,7 +98,7 @@ def pair_traces(
             **given,
             **work.both(),
         )
-    with console.filling(out, believed, None, (movie, model, dark, channels)) as folder:
+    with console.filling(out, (*TRACES, *PAIR), believed, None, (movie, model, dark, channels)) as folder:
         write_pair(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
         figures.write(folder, figures.pair_drawings(read.data, found))
     console.tell_molecules(out, found.donor)

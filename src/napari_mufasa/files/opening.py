@@ -123,8 +123,8 @@ def check_all_there(series: Any, ome_xml: str, path: Path) -> None:
         if not (path.parent / name).exists():
             raise MufasaError(f"{path} refers to {name}, which is not there: copy it beside this file")
     raise MufasaError(
-        f"{path} announces {len(there)} frames, {sum(there)} can be read: copy all files of the movie anew, or export it "
-        "as one file"
+        f"{path} announces {len(there)} frames, {sum(there)} can be read: copy all files of the movie anew, or export "
+        "it as one file"
     )
 
 

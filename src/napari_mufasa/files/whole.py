@@ -9,7 +9,7 @@ import os
 import platform
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.outputs import is_one_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,17 +55,29 @@ def replacing(path: PathLike) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def filling(folder: PathLike) -> Iterator[Path]:
-    """A temporary folder beside `folder`; its files move into it together at the end, or disappear."""
+def filling(folder: PathLike, names: Sequence[str] = ()) -> Iterator[Path]:
+    """A temporary folder; its files move into `folder` together at the end, or disappear.
+
+    names : patterns of what the work writes: of these, what an earlier run left and this one does not write is removed,
+        so that a folder is of one run
+    """
     target = Path(folder).resolve()  # "." has no name to put a temporary one beside
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = _temporary(target)
+    if target.is_dir():  # inside: beside it may be another disk, or one may not write there
+        temporary = _temporary(target / (target.name or "output"))
+    else:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary = _temporary(target)
     temporary.mkdir()
     try:
         yield temporary
         target.mkdir(exist_ok=True)
-        for file in sorted(temporary.iterdir()):
+        new = sorted(temporary.iterdir())
+        for file in new:
             os.replace(file, target / file.name)
+        written = {file.name for file in new}
+        for file in list(target.iterdir()):
+            if file.is_file() and file.name not in written and is_one_of(file.name, names):
+                file.unlink()
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
