@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from qtpy.QtCore import Qt
+from tests.widgets.helpers import Answers
 
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
@@ -125,6 +126,19 @@ def test_export_writes_report_and_model(panel, tmp_path):
     assert told["chosen"] == ["triplet_blinking"]
     assert Model.from_json(tmp_path / "model.json") == report.model
     assert (tmp_path / "observables.csv").is_file()
+
+
+def test_a_report_exported_before_is_replaced_only_when_the_user_says_so(panel, tmp_path, monkeypatch):
+    user = Answers(monkeypatch, tmp_path)
+    panel.show_report(example.report())
+    (tmp_path / "model.json").write_text("of a day's work")
+    panel.export_button.click()
+    assert user.asked == [f"{tmp_path} already holds model.json. Replace?"]
+    assert [file.name for file in tmp_path.iterdir()] == ["model.json"]
+    user.replace = True
+    panel.export_button.click()
+    assert Model.from_json(tmp_path / "model.json") == example.report().model
+    assert panel.run_bar.message.text() == f"Written: report.json, model.json and observables.csv in {tmp_path}"
 
 
 def test_a_check_considers_the_suspects_of_the_look(panel, qtbot, monkeypatch):

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tests.report_example import power
+from tests.widgets.helpers import Answers
 
 from napari_mufasa.compare.quick import quick_distance
 from napari_mufasa.errors import MufasaError
@@ -157,6 +158,64 @@ def test_traces_are_saved_as_the_contract_says(with_movie, open_panel, run, tmp_
     assert list(traces.columns) == ["molecule", "frame", "photoelectrons"]
     assert len(traces) == 4 * 60
     assert set(traces["molecule"]) == set(molecules.loc[molecules["kept"], "molecule"])
+
+
+def test_traces_saved_before_are_replaced_only_when_the_user_says_so(
+    with_movie, open_panel, run, tmp_path, monkeypatch
+):
+    panel, user = open_panel(MoleculesPanel, with_movie), Answers(monkeypatch, tmp_path)
+    run(panel)
+    panel.save_button.click()
+    assert not user.asked and sorted(file.name for file in tmp_path.iterdir()) == ["molecules.csv", "traces.csv"]
+    (tmp_path / "traces.csv").unlink()
+    (tmp_path / "molecules.csv").write_text("of a day's work")
+    panel.save_button.click()
+    assert user.asked == [f"{tmp_path} already holds molecules.csv. Replace?"]
+    assert (tmp_path / "molecules.csv").read_text() == "of a day's work" and not (tmp_path / "traces.csv").exists()
+    user.replace = True
+    panel.save_button.click()
+    assert len(pd.read_csv(tmp_path / "molecules.csv")) == len(panel.traces.molecules)
+    assert panel.run_bar.message.text() == f"Written: traces.csv and molecules.csv in {tmp_path}"
+
+
+def test_a_folder_that_cannot_be_written_to_is_told_in_one_line(with_movie, open_panel, run, tmp_path, monkeypatch):
+    from napari.utils.notifications import notification_manager
+
+    panel, _ = open_panel(MoleculesPanel, with_movie), Answers(monkeypatch, tmp_path)
+    run(panel)
+
+    def refuse(source, target):
+        raise PermissionError(13, "Permission denied", str(target))
+
+    monkeypatch.setattr("os.replace", refuse)
+    panel.save_button.click()
+    told = f"{tmp_path / 'traces.csv'}: permission denied; check the path, its permissions and the space on the disk"
+    assert panel.run_bar.message.text() == notification_manager.records[-1].message == told
+
+    def full(source, target):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    panel.save_button.click()
+    told = "[Errno 28] No space left on device: check the files and the space on the disk"
+    assert panel.run_bar.message.text() == told
+
+
+def test_a_plot_that_cannot_be_saved_is_told(with_movie, qtbot, tmp_path, monkeypatch):
+    from napari.utils.notifications import notification_manager
+    from qtpy.QtWidgets import QFileDialog
+
+    from napari_mufasa.widgets.parts.plot import PlotCanvas
+
+    plot = PlotCanvas(with_movie)
+    with_movie.window.add_dock_widget(plot)
+    plot.draw(lambda figure: None, pd.DataFrame({"frame": [0]}))
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_, **__: (str(tmp_path / "no" / "plot.csv"), ""))
+    n = len(notification_manager.records)
+    plot.save_button.click()
+    qtbot.waitUntil(lambda: len(notification_manager.records) > n, timeout=5000)
+    assert "make it first" in notification_manager.records[-1].message
+    qtbot.waitUntil(lambda: not plot.busy, timeout=20_000)
 
 
 @pytest.fixture(scope="module")
@@ -338,6 +397,48 @@ def test_a_movie_with_values_that_are_no_numbers_is_opened_and_can_be_taken_out(
     assert (low, high) == (0, 1) if bad == "all" else 60 < low < 100 < high < 140
     viewer.layers.remove(layer)
     assert not viewer.layers
+
+
+def test_dark_frames_that_are_opened_are_those_of_the_movie(with_movie, open_panel, tmp_path, qtbot, bright_model):
+    from napari_mufasa.files.movies import write_movie
+    from napari_mufasa.simulate.movie import simulate_dark
+    from napari_mufasa.widgets.steps.data import DataPanel
+
+    dark, path = simulate_dark(bright_model, 5), str(tmp_path / "shutter.ome.tif")
+    write_movie(path, [dark], dark.shape, dark.dtype, role="dark frames")
+    panel = open_panel(DataPanel, with_movie)
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.open_movie(path)
+    session = session_of(with_movie)
+    assert session.movie_layer is with_movie.layers["bright"]
+    assert session.dark_layer is panel.form.dark.value is with_movie.layers["shutter"]
+    assert np.array_equal(session.measurement().dark, dark)
+    assert "shutter holds dark frames" in panel.run_bar.message.text()
+
+
+@pytest.mark.parametrize(("zarr_format", "chosen"), [(3, "zarr.json"), (2, ".zarray"), (2, ".zattrs")])
+def test_a_zarr_movie_is_chosen_by_a_file_in_it(viewer, open_panel, tmp_path, qtbot, monkeypatch, zarr_format, chosen):
+    import zarr
+    from qtpy.QtWidgets import QFileDialog
+
+    from napari_mufasa.widgets.steps.data import DataPanel
+
+    movie = np.arange(6 * 16 * 24, dtype=np.uint16).reshape(6, 16, 24)
+    zarr.save_array(str(tmp_path / "folder.zarr"), movie, zarr_format=zarr_format)
+    zarr.open_array(str(tmp_path / "folder.zarr")).attrs["note"] = "beam on"
+    filters = []
+
+    def choose(*_, filter):
+        filters.append(filter)
+        return str(tmp_path / "folder.zarr" / chosen), ""
+
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", choose)
+    panel = open_panel(DataPanel, viewer)
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.run_bar.run_button.click()
+    assert chosen in filters[0]
+    layer = session_of(viewer).movie_layer
+    assert layer.name == "folder" and np.array_equal(layer.data, movie)
 
 
 def test_workflow_shares_its_values_between_steps(with_movie, qtbot):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, ClassVar
 
 from magicgui.widgets import FunctionGui
 from napari.viewer import Viewer
-from qtpy.QtWidgets import QFileDialog, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QFileDialog, QMessageBox, QPushButton, QVBoxLayout, QWidget
 
 from napari_mufasa.widgets.parts.forms import shared
 from napari_mufasa.widgets.parts.pieces import Words, button, shortcut
@@ -76,18 +77,30 @@ class Panel(QWidget):
         self.run_bar.start(title, lambda: function(**values), done)
 
     def guarded(self, action: Callable[[], Any]) -> None:
-        """Do something at once; a `MufasaError` becomes a notification and a line in the panel."""
+        """Do something at once; what is refused becomes a notification and a line in the panel."""
         with errors_reported(partial(self.run_bar.say, error=True)):
             action()
 
-    def saver(self, text: str, caption: str, save: Callable[[str], str], name: str = "") -> QPushButton:
-        """A button, for when there are results, that asks for a file to write, as `name`, or else a folder;
-        ``save(path)`` says what it wrote."""
+    def saver(
+        self, text: str, caption: str, save: Callable[[str], str], name: str = "",
+        files: Callable[[], Sequence[str]] = tuple,
+    ) -> QPushButton:  # fmt: skip
+        """A button, for when there are results, that asks for a file to write, as `name`, or else a folder in which
+        ``files()`` will be written; ``save(path)`` says what it wrote."""
 
         def ask() -> None:
             ask_for_file, ask_for_folder = QFileDialog.getSaveFileName, QFileDialog.getExistingDirectory
             path = ask_for_file(self, caption, name)[0] if name else ask_for_folder(self, caption)
-            if path:
+            if path and self._may_replace(path, files()):
                 self.guarded(lambda: self.run_bar.say(f"Written: {save(path)}"))
 
         return button(text, ask, enabled=False)
+
+    def _may_replace(self, folder: str, names: Sequence[str]) -> bool:
+        """Whether nothing of these names stands in a folder, or the user wants it replaced."""
+        there = [name for name in names if (Path(folder) / name).exists()]
+        if not there:
+            return True
+        question, answers = f"{folder} already holds {', '.join(there)}. Replace?", QMessageBox.StandardButton
+        answer = QMessageBox.question(self, "Replace files", question, answers.Yes | answers.No, answers.No)
+        return answer == answers.Yes

@@ -5,7 +5,6 @@ matplotlib takes a tenth of a second or more for a figure. It draws in a thread;
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QSizePolicy, QToolButton, QWidge
 
 from napari_mufasa.report.offscreen import Draw, rgba, with_figure
 from napari_mufasa.widgets.parts.pieces import column, made, row
-from napari_mufasa.widgets.turns.jobs import WhenSeen
+from napari_mufasa.widgets.turns.jobs import WhenSeen, in_thread, report_error
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -134,7 +133,7 @@ class PlotCanvas(QWidget):
             self, "Save plot", "plot.png", filter="Picture (*.png *.svg *.pdf);;Data (*.csv)"
         )
         if path:
-            threading.Thread(target=self.save, args=(path,), daemon=True, name="mufasa-save").start()
+            in_thread("mufasa-save", lambda: self.save(path), lambda how: how.error and report_error(how.error))
 
 
 def _render(function: Draw, size: tuple[int, int, float], theme: tuple[str, bool]) -> QImage:

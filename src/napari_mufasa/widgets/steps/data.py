@@ -1,5 +1,6 @@
 """The Data step: which layer is the movie, where the dark frames are, what is known about them."""
 
+import os
 from collections.abc import Callable, Generator
 from typing import Any
 
@@ -32,6 +33,8 @@ from napari_mufasa.widgets.parts.parameters import Dark, DarkFrames, Movie
 from napari_mufasa.widgets.parts.pieces import Words, button, row, section
 from napari_mufasa.widgets.steps.register import TwoChannels
 from napari_mufasa.widgets.turns.session import model_in
+
+ZARR_FILES = ("zarr.json", ".zarray", ".zattrs")  # that describe a folder
 
 
 def measurement(movie: Movie, dark: Dark = None, dark_frames: DarkFrames = 0) -> Measurement:
@@ -80,15 +83,19 @@ class DataPanel(Panel):
         self.refresh()
 
     def prepare(self) -> None:
+        names = " ".join([*(f"*{suffix}" for suffix in MOVIE_SUFFIXES), *ZARR_FILES])
         path, _ = QFileDialog.getOpenFileName(
-            self, "Open movie", filter=f"Movies ({' '.join(f'*{s}' for s in MOVIE_SUFFIXES)});;All files (*)"
+            self, "Open movie", filter=f"Movies, of a .zarr folder its zarr.json ({names});;All files (*)"
         )
         if path:
             self.open_movie(path)
 
     def open_movie(self, path: str) -> None:
-        """Open any movie, ours or foreign, lazily; in the background, for a header may be long."""
-        self._open("Opening", lambda: read_layers(path))
+        """Open any movie, ours or foreign, lazily; in the background, for a header may be long. Of a zarr folder it may
+        be the path of the file that describes it: a dialog for files chooses no folder."""
+        folder, name = os.path.split(path)
+        movie = folder if name in ZARR_FILES else path
+        self._open("Opening", lambda: read_layers(movie))
 
     def open_sample(self, key: str) -> None:
         """Open one of the plugin's samples: it is simulated in the background."""
@@ -99,7 +106,11 @@ class DataPanel(Panel):
 
     def take(self, layers: list[Any]) -> Generator[None, None, None]:
         yield from added(self.viewer, layers)
-        movie = next(layer for layer in layers if stored(layer, "role") != "dark frames")
+        movie = next((layer for layer in layers if stored(layer, "role") != "dark frames"), None)
+        if movie is None:
+            self.session.set_dark(layers[0])
+            self.run_bar.say(f"{layers[0].name} holds dark frames, and is taken as those of the movie.")
+            return
         self.session.set_movie(movie)
         yield
         if model_in(movie) is not None:

@@ -15,7 +15,7 @@ from qtpy.QtWidgets import QWidget
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import measurement_of
 from napari_mufasa.report.offscreen import drawing
-from napari_mufasa.report.words import detectable_rows, headline, in_text, standing_lines
+from napari_mufasa.report.words import detectable_rows, headline, in_text, listed, standing_lines
 from napari_mufasa.widgets.parts.doubts import Doubts
 from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.effects import Suspects
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 KINDS: dict[str, Any] = {
     "widget_type": TypedEdit, "of": tuple[str, ...], "label": "Suspects", "empty": "all that suit the camera",
 }  # fmt: skip
+EXPORTED = ("report.json", "model.json", "observables.csv")
 UNSEEN = (
     "What is not named may still be there: this is the smallest strength of each effect not in the model that this "
     "data would have shown in four cases of five."
@@ -127,7 +128,7 @@ class DiscoverPanel(Panel):
         self.tabs = Tabs(430, pages | {"May hide": self.unseen})
         self.tabs.setTabVisible(self.tabs.indexOf(self.unseen), False)
         caption = "Folder for report.json and model.json"
-        self.export_button = self.saver("Export report and model …", caption, self.export)
+        self.export_button = self.saver("Export report and model …", caption, self.export, files=lambda: EXPORTED)
         suspects = section("Suspects", self.suspects)
         self.add(self.form.native, Doubts(self.session, self), suspects, self.run_bar, self.verdict, last=self.tabs)
         self.add(self.export_button)
@@ -314,11 +315,11 @@ class DiscoverPanel(Panel):
         from napari_mufasa.files.whole import write_table
 
         assert self.report is not None
-        target = Path(folder)
-        self.report.to_json(str(target / "report.json"))
-        self.report.model.to_json(target / "model.json")
-        write_table(target / "observables.csv", self.report.observables)
-        return f"report.json, model.json and observables.csv in {folder}"
+        report, model, table = (Path(folder) / name for name in EXPORTED)
+        self.report.to_json(str(report))
+        self.report.model.to_json(model)
+        write_table(table, self.report.observables)
+        return f"{listed(EXPORTED)} in {folder}"
 
 
 def _places(looked_at: Any, report: "Report", measurement: Any, seed: int) -> "Places":

@@ -15,6 +15,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import Measurement, measurement_of, stored
 from napari_mufasa.report.lines import efficiency_line, molecule_line, moving_line
 from napari_mufasa.report.offscreen import drawing
+from napari_mufasa.report.words import listed
 from napari_mufasa.spots.aperture import Profile
 from napari_mufasa.widgets.parts.edits import TypedEdit
 from napari_mufasa.widgets.parts.forms import begin
@@ -160,7 +161,8 @@ class MoleculesPanel(Panel):
             "Keep / reject this molecule", lambda: self.guarded(self._toggle),
             "Your own judgement; the reason column says so", enabled=False,
         )  # fmt: skip
-        self.save_button = self.saver("Save traces as CSV …", "Folder for traces.csv and molecules.csv", self.save)
+        caption = "Folder for traces.csv and molecules.csv"
+        self.save_button = self.saver("Save traces as CSV …", caption, self.save, files=self.files)
         self.add(self.form.native, self.run_bar, last=self.plot)
         self.add(self.toggle_button, self.save_button)
 
@@ -260,16 +262,23 @@ class MoleculesPanel(Panel):
         self.session.set_traces(traces)
         self.select(self.shown)
 
+    def files(self) -> tuple[str, ...]:
+        """What `save` writes."""
+        if stored(self.points, "pair") is not None:
+            return "traces.csv", "donor.csv", "acceptor.csv", "molecules.csv", "channels.json"
+        followed = self.traces is not None and self.traces.path_px is not None
+        return ("traces.csv", "molecules.csv", "paths.csv") if followed else ("traces.csv", "molecules.csv")
+
     def save(self, folder: str) -> str:
-        """Write traces.csv and molecules.csv (docs/files.md)."""
+        """Write the kept traces and the table of candidates (docs/files.md)."""
         from napari_mufasa.traces.table import write_traces
 
         assert self.traces is not None
         if (pair := stored(self.points, "pair")) is not None:
             _write_pair(folder, pair, self.first_frame)
-            return f"traces.csv, donor.csv, acceptor.csv and molecules.csv in {folder}"
-        write_traces(folder, self.traces, first_frame=self.first_frame)
-        return f"traces.csv and molecules.csv in {folder}"
+        else:
+            write_traces(folder, self.traces, first_frame=self.first_frame)
+        return f"{listed(self.files())} in {folder}"
 
 
 def _write_pair(folder: str, pair: "PairedTraces", first_frame: int) -> None:

@@ -298,10 +298,10 @@ class WhenSeen(Latest):
 
 @contextlib.contextmanager
 def errors_reported(then: Callable[[str], Any] = lambda line: None) -> Iterator[None]:
-    """Here a `MufasaError` becomes a notification, and ``then(line)`` tells it elsewhere."""
+    """Here a `MufasaError`, or what the system refuses, becomes a notification, and ``then(line)`` tells it elsewhere."""
     try:
         yield
-    except MufasaError as error:
+    except (MufasaError, OSError) as error:
         then(report_error(error))
 
 
@@ -309,8 +309,15 @@ def report_error(error: BaseException) -> str:
     """Tell napari's notifications; returns the line for the panel."""
     from napari.utils.notifications import ErrorNotification, notification_manager, show_error
 
-    if isinstance(error, MufasaError):
-        show_error(str(error))
-        return str(error)
+    if isinstance(error, (MufasaError, OSError)):
+        line = _os_line(error) if isinstance(error, OSError) else str(error)
+        show_error(line)
+        return line
     notification_manager.dispatch(ErrorNotification(error))
     return f"Unexpected {type(error).__name__}: {error}. The notification has the details to report."
+
+
+def _os_line(error: OSError) -> str:
+    if error.filename is None or error.strerror is None:
+        return f"{error}: check the files and the space on the disk"
+    return f"{error.filename}: {error.strerror.lower()}; check the path, its permissions and the space on the disk"
