@@ -67,8 +67,20 @@ def test_a_list_names_conditions_and_models(folder):
     assert [(e.name, e.condition, e.model) for e in entries] == [
         ("x-m0", "x", folder / "model.json"), ("y-m0", "y", folder / "model.json"),
     ]  # fmt: skip
-    (folder / "list.txt").write_text("movies/a/m0.tif\nmovies/b/m0.tif\n")
+    (folder / "list.txt").write_text('movies/a/m0.tif\n"movies/b/m0.tif"\n')
     assert [e.name for e in read_entries(folder / "list.txt", model=folder / "model.json")] == ["m0", "m0-2"]
+
+
+@pytest.mark.parametrize("rows_named", [True, False])
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_a_list_may_be_quoted_as_r_writes_it(folder, rows_named, mark):
+    rows = [("", "movie", "condition"), ("1", "movies/a/m0.tif", "x, y"), ("2", "movies/b/m0.tif", "z")]
+    text = [mark.join(f'"{cell}"' for cell in row[0 if rows_named else 1 :]) for row in rows]
+    (folder / "list.csv").write_text("\n".join(text) + "\n")
+    entries = read_entries(folder / "list.csv", model=folder / "model.json")
+    assert [(e.movie, e.condition) for e in entries] == [
+        (folder / "movies/a/m0.tif", "x, y"), (folder / "movies/b/m0.tif", "z"),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

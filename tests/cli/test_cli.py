@@ -457,9 +457,10 @@ def test_design_solves_for_targets_and_draws_maps(cli, model_file, tmp_path):
     code, out, _ = cli("design", "--model", model_file, "--target", "snr_spot=5", "--out-model", tmp_path / "m.json")
     assert code == 0 and "met at" in out
     assert nm.predict(Model.from_json(tmp_path / "m.json")).snr_spot == pytest.approx(5)
-    code, _, _ = cli("design", "--model", model_file, "--vary", "excitation.power_density_w_per_cm2=1,10,100",
-                     "--vary", "optics.psf_fwhm_nm=250,300", "--figure", tmp_path / "map.png")  # fmt: skip
-    assert code == 0 and (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
+    for name, begins in (("map.png", b"\x89PNG"), ("map.SVG", b"<?xml")):
+        code, _, _ = cli("design", "--model", model_file, "--vary", "excitation.power_density_w_per_cm2=1,10,100",
+                         "--vary", "optics.psf_fwhm_nm=250,300", "--figure", tmp_path / name)  # fmt: skip
+        assert code == 0 and (tmp_path / name).read_bytes().startswith(begins)
 
 
 @pytest.mark.parametrize("by", ["power", "exposure"])
@@ -802,6 +803,16 @@ BAD = {
             "--vary", "excitation.power_density_w_per_cm2=1,10", "--out", "OUT/t.csv", "--figure", "OUT/f.png",
         ],
         "null of fluorophore",
+    ),
+    "a figure of another kind": (
+        ["design", "--model", "MODEL", "--vary", "optics.psf_fwhm_nm=200,300", "--figure", "OUT/f.pdf"],
+        "use .png or .svg",
+    ),
+    "power drawn into another kind": (
+        ["power", "--model", "MODEL", "--effect", "row_noise", "--figure", "OUT/f.jpg"], "use .png or .svg",
+    ),
+    "a camera drawn into a file without suffix": (
+        ["calibrate", "MOVIE", "--out", "OUT/c.json", "--figure", "OUT/f"], "use .png or .svg",
     ),
     "bad sweep": (["design", "--model", "MODEL", "--vary", "power"], "PATH=V1,V2"),
 }  # fmt: skip

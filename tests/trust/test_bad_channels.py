@@ -29,6 +29,10 @@ BAD_COMMANDS: dict[str, tuple[str, str]] = {
     "traces: no rectangle": (f"{TRACES} --channel centre", "left, right"),
     "traces: a channel that leaves the frames": (f"{TRACES} --channel 0:9,0:999", "leaves the frames"),
     "traces: one channel and two": (f"{TRACES} --channel left --channels good/model.json", "one of them"),
+    "traces: two channels on a cluster": (
+        f"{TRACES} --channels good/model.json --scheduler tcp://host:1", "drop it, or --channels",
+    ),
+    "register: a figure of another kind": (f"register good/movie.tif {OUT} --figure out/f.pdf", "use .png or .svg"),
     "traces: channels that are missing": (f"{TRACES} --channels none.json", "no file"),
     "traces: channels that are a model": (f"{TRACES} --channels good/model.json", "no channels.json"),
     "traces: channels that are a movie": (f"{TRACES} --channels good/movie.tif", "not readable"),

@@ -77,12 +77,14 @@ def _listed(source: Path) -> list[tuple[Path, str, Path | None, Path | None]]:
         raise MufasaError(f"{source} is no list: give a folder, a CSV table or one path in a line") from None
     if not lines:
         raise MufasaError(f"{source} is empty: give one movie in a line")
-    if "movie" not in [cell.strip() for cell in re.split(f"[{SEPARATORS}]", lines[0])]:
-        return [(_from(source, line.strip()), "", None, None) for line in lines]
+    if "movie" not in [_bare(cell) for cell in re.split(f"[{SEPARATORS}]", lines[0])]:
+        return [(_from(source, _bare(line)), "", None, None) for line in lines]
     try:
         # Not guessed by the reader: of a table of one column it takes a letter of the head for the separator.
         mark = next((mark for mark in SEPARATORS if mark in lines[0]), ",")
-        table = pd.read_csv(source, sep=mark, engine="python", dtype=str, encoding="utf-8-sig").fillna("")
+        named = None if _bare(lines[0].split(mark)[0]) else 0  # R writes a column without a name: the rows' names
+        table = pd.read_csv(source, sep=mark, engine="python", dtype=str, encoding="utf-8-sig", index_col=named)
+        table = table.fillna("")
     except ValueError as error:
         raise MufasaError(f"{source} is not a readable table ({error}): write it anew") from None
     table.columns = [str(name).strip() for name in table.columns]
@@ -97,6 +99,12 @@ def _listed(source: Path) -> list[tuple[Path, str, Path | None, Path | None]]:
     if not rows:
         raise MufasaError(f"{source} lists no movie: give one in a line")
     return rows
+
+
+def _bare(text: str) -> str:
+    """A cell or a line without blanks and quotes around it."""
+    text = text.strip()
+    return text[1:-1].strip() if len(text) > 1 and text[0] == text[-1] == '"' else text
 
 
 def _from(source: Path, text: str) -> Path:

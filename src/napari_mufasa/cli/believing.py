@@ -37,7 +37,7 @@ def calibrate(
     quantum_efficiency: Efficiency = 0.9,
     report: ReportFile = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="PNG", help="Also draw the laws against the histograms.")
+        Path | None, typer.Option("--figure", metavar="PNG|SVG", help="Also draw the laws against the histograms.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -48,6 +48,7 @@ def calibrate(
     from napari_mufasa.propose.written import camera_told
 
     console.check_apart(out, report, figure)
+    console.check_figure_out(figure)
     for path in (out, report, figure):
         if path is not None:
             console.check_file_out(path, overwrite)
@@ -72,7 +73,7 @@ def calibrate(
     if figure is not None:
         from napari_mufasa.report.figures import calibration_drawing
 
-        files.whole.write_bytes(figure, calibration_drawing(found).render("light"))
+        files.whole.write_bytes(figure, console.figure_bytes(calibration_drawing(found), figure))
     console.print_table(("measured", "value [95 %]"), _rows(found))
     for fit in found.fits:
         typer.echo(f"test of fit, {fit.name}: {100 * fit.distance:.2g} % of the counts lie elsewhere than the law says")

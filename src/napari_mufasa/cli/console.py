@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -25,10 +25,12 @@ from napari_mufasa.errors import MufasaError
 if TYPE_CHECKING:
     from napari_mufasa.files import Movie
     from napari_mufasa.model.model import Model
+    from napari_mufasa.report.figures import Drawing
     from napari_mufasa.traces.extract import TraceSet
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr")
+FIGURES: dict[str, Literal["png", "svg"]] = {".png": "png", ".svg": "svg"}  # by suffix
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,17 @@ def check_file_out(path: Path, overwrite: bool, directory: bool = False) -> None
         raise MufasaError(f"{path} is neither file nor folder: give the path of a file")
     if os.path.lexists(path) and not overwrite:
         raise MufasaError(f"{path} is there already: choose another output path, or add --overwrite to replace it")
+
+
+def check_figure_out(path: Path | None) -> None:
+    """Fail before the work, not after it, when the name is of no kind of figure that is drawn."""
+    if path is not None and path.suffix.lower() not in FIGURES:
+        raise MufasaError(f"--figure {path}: cannot draw into such a file, use {' or '.join(FIGURES)}")
+
+
+def figure_bytes(drawing: Drawing, path: Path) -> bytes:
+    """The figure as a file of the kind that its name says."""
+    return drawing.render("light", FIGURES[path.suffix.lower()])
 
 
 def check_not_read(out: Path, *inputs: Path | None) -> None:

@@ -148,7 +148,7 @@ def power(
     seed: Seed = 1,
     out: Annotated[Path | None, typer.Option("--out", metavar="TABLE.csv", help="Also write the table.")] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="PNG", help="Draw the power over the strength.")
+        Path | None, typer.Option("--figure", metavar="PNG|SVG", help="Draw the power over the strength.")
     ] = None,
     scheduler: Scheduler = None,
     overwrite: Overwrite = False,
@@ -161,6 +161,7 @@ def power(
     from napari_mufasa.model.model import Model
 
     console.check_apart(out, figure)
+    console.check_figure_out(figure)
     for path in (out, figure):
         if path is not None:
             console.check_file_out(path, overwrite)
@@ -179,7 +180,7 @@ def power(
     if figure is not None:
         from napari_mufasa.report.figures import power_drawing
 
-        files.whole.write_bytes(figure, power_drawing(table, hidden.kind).render("light"))
+        files.whole.write_bytes(figure, console.figure_bytes(power_drawing(table, hidden.kind), figure))
     console.print_table(tuple(table), [tuple(row) for row in table.to_numpy()])
     asked = f"it must promise {found[0].needed:.3g} (median of {len(found[0].looks)} diagnoses)"
     typer.echo(f"{asked}: by chance alone some effect promises what it must in 1 of 50 movies")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from napari_mufasa.model.model import Model
+    from napari_mufasa.report.figures import Drawing
     from napari_mufasa.simulate.movie import SimulatedAcquisition
 
 
@@ -186,7 +187,8 @@ def design(
         Path | None, typer.Option("--out-model", metavar="model.json", help="Write the model that meets the target.")
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="PNG", help="Draw curves over one varied value, maps over two.")
+        Path | None,
+        typer.Option("--figure", metavar="PNG|SVG", help="Draw curves over one varied value, maps over two."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -196,6 +198,7 @@ def design(
     from napari_mufasa.model.model import Model
 
     console.check_apart(out, out_model, figure)
+    console.check_figure_out(figure)
     for path in (out, out_model, figure):
         if path is not None:
             console.check_file_out(path, overwrite)
@@ -212,7 +215,7 @@ def design(
     if targets:
         believed = _solved(believed, targets, solve)
     table = sweep(believed, varied)
-    drawn = None if figure is None else _drawn(table, varied, targets)
+    drawn = None if figure is None else console.figure_bytes(_drawn(table, varied, targets), figure)
     if out_model is not None:
         believed.to_json(out_model)
         typer.echo(f"{out_model}: the model with that value")
@@ -226,8 +229,8 @@ def design(
     console.print_table(head, [(name, *row) for name, row in zip(turned.index, turned.to_numpy(), strict=True)])
 
 
-def _drawn(table: pd.DataFrame, varied: dict[str, list[Any]], targets: dict[str, float]) -> bytes:
-    """The figure of a sweep over numbers, as the bytes of a PNG."""
+def _drawn(table: pd.DataFrame, varied: dict[str, list[Any]], targets: dict[str, float]) -> Drawing:
+    """The figure of a sweep over numbers."""
     from napari_mufasa.report.figures import design_drawing
 
     for path, values in varied.items():
@@ -237,7 +240,7 @@ def _drawn(table: pd.DataFrame, varied: dict[str, list[Any]], targets: dict[str,
                 f"--figure draws over numbers: {word} of {path} has no place on an axis; drop it, or --figure"
             )
     shown = [name for name in targets if name in table]
-    return design_drawing(table, list(varied), shown, targets).render("light")
+    return design_drawing(table, list(varied), shown, targets)
 
 
 def _solved(believed: Model, targets: dict[str, float], path: str | None) -> Model:

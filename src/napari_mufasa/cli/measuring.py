@@ -177,6 +177,8 @@ def traces(
     if channels is not None:
         if channel is not None:
             raise MufasaError("--channel reads one channel, --channels two: give one of them")
+        if scheduler is not None:
+            raise MufasaError("--scheduler: two channels are read on this machine alone; drop it, or --channels")
         registering.pair_traces(movie, model, dark, channels, out, options | of_two, hdf5, openfret)
         return
     believed, read = Model.from_json(model), files.read_movie(movie)

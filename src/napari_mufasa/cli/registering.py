@@ -30,7 +30,7 @@ def register(
         KindName | None, typer.Option("--kind", help="Default: of second order where the beads show it.")
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option("--figure", metavar="PNG", help="Also draw the beads and how far off each is.")
+        Path | None, typer.Option("--figure", metavar="PNG|SVG", help="Also draw the beads and how far off each is.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -42,6 +42,7 @@ def register(
     from napari_mufasa.report.lines import channels_lines
 
     console.check_apart(out, figure)
+    console.check_figure_out(figure)
     for path in (out, figure):
         if path is not None:
             console.check_file_out(path, overwrite)
@@ -51,7 +52,7 @@ def register(
         found = find_map(recorded, donor, acceptor, kind=kind, **work.both())
     found.to_json(out)
     if figure is not None:
-        write_bytes(figure, registration_drawing(found).render("light"))
+        write_bytes(figure, console.figure_bytes(registration_drawing(found), figure))
     for line in channels_lines(found):
         typer.echo(line)
     typer.echo(f"{out}: donor {found.donor}, acceptor {found.acceptor}")
