@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -110,6 +111,29 @@ def test_distance_follows_the_model_while_it_is_edited(make_napari_viewer, qtbot
     # of another movie there are no traces yet
     session.set_movie(add_movie(viewer, bright_movie.movie, "other", movie_space(100.0), bright_model))
     assert live.distance is None and "extract traces" in compare.live_line.text() and compare.live.data is None
+
+
+def test_a_distance_of_traces_that_are_no_longer_those_of_the_session_is_dropped(with_movie, qtbot, bright_movie):
+    from tests.widgets.helpers import add_movie
+
+    session = session_of(with_movie)
+    live = live_of(session)
+    session.set_traces(SimpleNamespace(), session.movie_layer)
+    started, release, ended = threading.Event(), threading.Event(), threading.Event()
+
+    def slow(_cancel):
+        started.set()
+        release.wait(5)
+        ended.set()
+        return SimpleNamespace(known="of the first movie")
+
+    live.request(slow)
+    qtbot.waitUntil(started.is_set, timeout=5000)
+    session.set_movie(add_movie(with_movie, bright_movie.movie, "other", {}))
+    assert session.traces is None
+    release.set()
+    qtbot.waitUntil(lambda: ended.is_set() and not live.busy, timeout=5000)
+    assert live.distance is None and live._known is None
 
 
 def test_thinned_traces_are_few_and_tell_nearly_the_same_distance():

@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from tests.report_example import power
-from tests.widgets.helpers import Answers
+from tests.widgets.helpers import Answers, add_movie
 
 from napari_mufasa.compare.quick import quick_distance
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.files.layers import movie_space
 from napari_mufasa.traces import Options, extract_traces
 from napari_mufasa.widgets.steps.calibrate import CameraPanel
 from napari_mufasa.widgets.steps.compare import ComparePanel
@@ -276,6 +277,61 @@ def test_compare_says_how_near_the_true_model_is(with_movie, open_panel, run):
     for name in panel.which.choices:
         panel.which.value = name
         assert len(panel.curves.data) > 1
+
+
+@pytest.fixture
+def other(with_movie, bright_movie):
+    """A second movie in the viewer, not chosen."""
+    return add_movie(with_movie, bright_movie.movie[:, ::-1], "other", movie_space(100.0))
+
+
+@pytest.mark.parametrize("kind", [MoleculesPanel, ComparePanel])
+def test_traces_of_a_movie_that_is_no_longer_chosen_are_not_those_of_the_session(
+    with_movie, other, open_panel, qtbot, kind
+):
+    panel, session = open_panel(kind, with_movie), session_of(with_movie)
+    if kind is ComparePanel:
+        panel.form.fit.value = False
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.run_bar.run_button.click()
+        session.set_movie(other)
+    assert session.traces is None
+    if kind is ComparePanel:
+        assert panel.comparison is not None and "Found on bright, not on" in panel.result.text()
+        return
+    panel.select(2)
+    panel.toggle_button.click()  # of the movie that was read
+    assert session.traces is None
+    session.set_movie(with_movie.layers["bright"])
+    panel.toggle_button.click()
+    assert session.traces is panel.traces is not None
+
+
+def test_distances_of_another_movie_than_the_one_chosen_say_so_and_offer_no_model(with_movie, other, open_panel, run):
+    panel, session = open_panel(ComparePanel, with_movie), session_of(with_movie)
+    session.set_model(session.model.with_values({"excitation.power_density_w_per_cm2": 60}))
+    run(panel)
+    assert panel.comparison.nearer == "fitted"
+    assert panel.use_button.isVisibleTo(panel) and panel.result.text().startswith("W1 distance")
+    session.set_movie(other)
+    assert not panel.use_button.isVisibleTo(panel)
+    assert panel.result.text().startswith("Found on bright, not on the movie chosen:<br>W1 distance")
+    session.set_movie(with_movie.layers["bright"])
+    assert panel.use_button.isVisibleTo(panel) and panel.result.text().startswith("W1 distance")
+
+
+def test_how_many_first_frames_are_dark_is_said_of_one_movie(with_movie, other, open_panel):
+    from napari_mufasa.widgets.steps.data import DataPanel
+
+    panel, session = open_panel(DataPanel, with_movie), session_of(with_movie)
+    panel.form.dark_frames.value = 20
+    assert session.measurement().first_frame == 20
+    panel.form.movie.value = other
+    assert session.movie_layer is other and session.dark_frames == panel.form.dark_frames.value == 0
+    assert session.measurement().first_frame == 0 and session.measurement().dark is None
+    panel.form.dark_frames.value = 20
+    panel.channels.take_buttons["donor"].click()  # of the same frames
+    assert session.movie_layer.name == "other, donor" and session.measurement().first_frame == 20
 
 
 def test_missing_movie_is_a_notification_with_the_remedy(viewer, open_panel):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any, ClassVar
 
 from magicgui.widgets import FunctionGui
+from napari.layers import Layer
 from napari.viewer import Viewer
 from qtpy.QtWidgets import QFileDialog, QMessageBox, QPushButton, QVBoxLayout, QWidget
 
@@ -75,6 +77,10 @@ class Panel(QWidget):
         """Run the step's function in the background on the form's values."""
         values, function = self.form.asdict() | changes, self.form.__wrapped__
         self.run_bar.start(title, lambda: function(**values), done)
+
+    def whose(self, movie: Layer | None, name: str) -> str:
+        """The words before a result of a movie of this name where another one is chosen, as HTML."""
+        return "" if movie is self.session.movie_layer else f"Found on {escape(name)}, not on the movie chosen:<br>"
 
     def guarded(self, action: Callable[[], Any]) -> None:
         """Do something at once; what is refused becomes a notification and a line in the panel."""

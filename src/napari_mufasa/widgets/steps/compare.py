@@ -95,6 +95,7 @@ class ComparePanel(Panel):
         )
         self.add(self.use_button, self.export_button)
         live_of(self.session).changed.connect(self._show_live)
+        self.session.movie_changed.connect(self._show_result)
 
     def take(self, layers: list[Any]) -> None:
         """The molecules are step Molecules' to show: here are the distances."""
@@ -103,16 +104,25 @@ class ComparePanel(Panel):
         from napari_mufasa.report.plots.emission import MODELS
 
         comparison: Comparison = ours(layers[0])["comparison"]
-        self.comparison = comparison
-        self.result.say(comparison_table(comparison))
-        self.use_button.setVisible(comparison.nearer == "fitted")
+        self.comparison, self._movie = comparison, ours(layers[0])["movie"]
+        movie = self._movie()
+        self._name = movie.name if movie is not None else "a movie that was removed"
+        self._show_result()
         self.export_button.setEnabled(True)
         self.distances.draw(drawing("w1_bars", comparison.w1), pd.DataFrame([comparison.w1]))
         self._show_curves()
         nearer = comparison.nearer
         self._show_traces(comparison.samples["measured"].traces, comparison.samples[nearer].traces, MODELS[nearer])
         if comparison.measured is not None:
-            self.session.set_traces(comparison.measured)
+            self.session.set_traces(comparison.measured, movie)
+
+    def _show_result(self) -> None:
+        """The distances; where they are of another movie than the one chosen, its name, and no offer to believe."""
+        if self.comparison is None:
+            return
+        of = self.whose(self._movie(), self._name)
+        self.result.say(of + comparison_table(self.comparison))
+        self.use_button.setVisible(not of and self.comparison.nearer == "fitted")
 
     def _show_curves(self, _which: Any = None) -> None:
         if self.comparison is not None:

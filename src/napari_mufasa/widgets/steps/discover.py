@@ -271,9 +271,8 @@ class DiscoverPanel(Panel):
         if self.report is None:
             return
         line, sentence = headline(self.report)
-        of = ""
-        if self._examined and self.session.movie_layer is not self._examined["layer"]():
-            of = f"Found on {escape(self._examined['measurement'].name)}, not on the movie chosen:<br>"
+        found = self._examined
+        of = self.whose(found["layer"](), found["measurement"].name) if found else ""
         self.verdict.say(f"{of}<b>{line}</b><br>{sentence}")
 
     def _enable(self) -> None:

@@ -158,7 +158,9 @@ class TwoChannels(QWidget):
         for _ in added(self.viewer, layers):
             pass
         movie.visible = False
+        dark_frames = self.session.dark_frames  # are those of its channels, too
         self.session.set_movie(layers[-1])
+        self.session.set_dark_frames(dark_frames)
         if len(layers) > 1:
             self.session.set_dark(layers[0])
 

@@ -1,6 +1,7 @@
 """Extract traces (step Molecules): molecules as points, the trace of the one you click."""
 
 import contextlib
+import weakref
 from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -130,7 +131,7 @@ def molecules_on(
     return points_on(
         movie, places, features.reset_index(drop=True), f"{movie.name}, molecules",
         size=max(4.0, 5 * found.sigma_px), face_color="transparent", border_width=0.07, border_color=_colours(table),
-        symbol="disc", ours={"traces": found, "first_frame": first_frame} | more,
+        symbol="disc", ours={"traces": found, "first_frame": first_frame, "movie": weakref.ref(movie)} | more,
     )  # fmt: skip
 
 
@@ -202,7 +203,7 @@ class MoleculesPanel(Panel):
         self.save_button.setEnabled(True)
         yield from added(self.viewer, [*layers[1:], points])
         points.mode = "select"  # napari refuses it to a hidden layer
-        self.session.set_traces(found)
+        self.session.set_traces(found, movie)
 
     def select(self, molecule: int) -> None:
         """Show the trace of one candidate."""
@@ -259,7 +260,7 @@ class MoleculesPanel(Panel):
         features.loc[rows, ["kept", "reason"]] = [keep, traces.molecules["reason"].iloc[self.shown]]
         self.points.features = features
         self.points.border_color = _colours(features)
-        self.session.set_traces(traces)
+        self.session.set_traces(traces, ours(self.points)["movie"]())
         self.select(self.shown)
 
     def files(self) -> tuple[str, ...]:

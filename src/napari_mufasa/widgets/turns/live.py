@@ -60,6 +60,8 @@ class LiveDistance(WhenSeen):
 
     def _on_traces(self) -> None:
         self._known = self.distance = None
+        self.problem = ""
+        self.drop()  # what is worked out is of other traces
         self.renew()
         self.changed.emit()
 

@@ -103,6 +103,7 @@ class Session(QObject):
         if layer is not None and layer is self.movie_layer:
             return
         self._keep("movie", layer)
+        self.dark_frames = 0  # were another movie's
         layers, dark = self.viewer.layers, self.dark_layer
         if (name := stored(layer, "dark_layer")) in layers:
             self._keep("dark", layers[name])
@@ -110,7 +111,7 @@ class Session(QObject):
             self._keep("dark", None)  # another movie's
         self.movie_changed.emit()
         if self.traces is not None and layer is not None:  # they are another movie's, too
-            self.set_traces(None)
+            self._take_traces(None)
 
     def set_dark(self, layer: Image | None) -> None:
         self._keep("dark", layer)
@@ -124,7 +125,12 @@ class Session(QObject):
         """Movie and dark frames as chosen; raises `MufasaError` that says what to choose."""
         return measurement_of(self.movie_layer, self.dark_layer, self.dark_frames)
 
-    def set_traces(self, traces: TraceSet | None) -> None:
+    def set_traces(self, traces: TraceSet, movie: Layer | None) -> None:
+        """Those of a movie; ignored where another one has been chosen since they were asked for."""
+        if movie is not None and movie is self.movie_layer:
+            self._take_traces(traces)
+
+    def _take_traces(self, traces: TraceSet | None) -> None:
         self.traces = traces
         self.traces_changed.emit()
 
