@@ -436,7 +436,9 @@ def test_facts_of_a_single_frame_and_of_colours(viewer, open_panel):
 
 
 @pytest.mark.parametrize("bad", ["one pixel", "all"])
-def test_a_movie_with_values_that_are_no_numbers_is_opened_and_can_be_taken_out(viewer, open_panel, tmp_path, qtbot, bad):
+def test_a_movie_with_values_that_are_no_numbers_is_opened_and_can_be_taken_out(
+    viewer, open_panel, tmp_path, qtbot, bad
+):
     import tifffile
 
     from napari_mufasa.widgets.steps.data import DataPanel

@@ -72,8 +72,8 @@ def write_traces(
 ) -> None:  # fmt: skip
     """traces.csv with the kept traces and molecules.csv with every candidate and its reason; of molecules that were
     followed paths.csv; with `hdf5` traces.h5, with `openfret` traces.openfret.json, which tells the exposure of
-    the `acquisition`. Where the traces begin with a later `first_frame` of the movie, the frames of the CSV tables count
-    from the movie's first, too; those of the others from the first of the traces that stand beside them.
+    the `acquisition`. Where the traces begin with a later `first_frame` of the movie, frames in the CSV tables count
+    from the movie's first nevertheless; in the other files from the first of the traces that stand beside them.
 
     traces.h5 holds the kept traces (``traces``, ``molecule``), the table's columns in the group ``molecules`` and
     every candidate's whole trace in ``all_traces``.

@@ -74,8 +74,9 @@ def traces(
 
     Returns:
         One layer of points, a row of features for each candidate, frames counted from the layer's first; its
-        ``metadata["napari_mufasa"]["traces"]`` is the `TraceSet`, which begins with "first_frame" of the layer. Of molecules that were followed also a layer of tracks, the paths of the kept ones; of two channels
-        also the places in the acceptor's, and the `PairedTraces` under "pair".
+        ``metadata["napari_mufasa"]["traces"]`` is the `TraceSet`, which begins with "first_frame" of the layer. Of
+        molecules that were followed also a layer of tracks, the paths of the kept ones; of two channels also the places
+        in the acceptor's, and the `PairedTraces` under "pair".
     """
     from napari_mufasa.traces import extract_traces
 

@@ -298,7 +298,7 @@ class WhenSeen(Latest):
 
 @contextlib.contextmanager
 def errors_reported(then: Callable[[str], Any] = lambda line: None) -> Iterator[None]:
-    """Here a `MufasaError`, or what the system refuses, becomes a notification, and ``then(line)`` tells it elsewhere."""
+    """Here a `MufasaError`, or one of the system's, becomes a notification, and ``then(line)`` tells it elsewhere."""
     try:
         yield
     except (MufasaError, OSError) as error:
