@@ -256,6 +256,15 @@ def test_image_lag_correlates_neighbouring_frames(form, kept, f):
         assert found == pytest.approx(correlation, abs=5 / np.sqrt(later.size))
 
 
+@pytest.mark.parametrize("form", ["one_frame", "decaying"])
+def test_the_first_frame_is_as_noisy_as_all_others(form):
+    """What is left of the light before the movie has noise of its own. 3.5 % is a variance's spread."""
+    movie = flat(effect("image_lag", fraction=0.3, kept=0.8, form=form), n_frames=120)
+    variance = movie.var(axis=(1, 2))
+    pixels = movie[0].size
+    assert variance[:4] / variance[60:].mean() == pytest.approx(1.0, abs=4 * np.sqrt(2 / pixels) + 0.01)
+
+
 def test_image_lag_of_movies_shorter_than_its_memory():
     for n_frames in (1, 2, 4, 7):
         movie = flat(effect("image_lag", fraction=0.8, kept=0.8, form="decaying"), n_frames=n_frames)

@@ -66,8 +66,8 @@ def expose(
     """Record photons: (frame, y, x) expected photons per pixel → (frame, y, x) ADU, uint16.
 
     `frames` numbers the frames given; every pixel of every frame draws from its own stream, so any block of a
-    movie can be recorded alone. The first `hooks.memory_frames` frames only feed the sensor's memory: frames before the
-    block must be given first where the movie has them, and are returned as recorded too.
+    movie can be recorded alone. The first `hooks.memory_frames` frames only feed the sensor's memory: they are those
+    before the block, and are returned as recorded too.
     """
     # 1 detection: n_ie ~ Poisson(QE x̃ + c)
     expected = camera.quantum_efficiency * photons

@@ -228,8 +228,6 @@ class ImageLag(Effect):
             for back in range(1, depth + 1):
                 weight = f * kept ** (back - 1) * (1 if back == depth else 1 - kept)  # the last takes the rest
                 result[back:] += weight * electrons[: max(0, len(electrons) - back)]
-                # The sensor was in the same light before the movie began.
-                result[:back] += weight * electrons[:1]
             return result
 
         scene.sensor.amplified.append(lag)

@@ -238,21 +238,26 @@ class Scene:
 
     def block(self, emission: NDArray[Any], span: slice) -> Block:
         """What frames of the movie are made of: their part of an emission (molecule, frame), and that of as many frames
-        before as the sensor remembers."""
-        begins = max(0, span.start - self.sensor.memory_frames)
-        return Block(emission[:, begins : span.stop], begins, span.start)
+        before as the sensor remembers; those before the movie were in the light of its first."""
+        begins = span.start - self.sensor.memory_frames
+        emission = emission[:, max(0, begins) : span.stop]
+        if begins < 0:
+            emission = np.pad(emission, ((0, 0), (-begins, 0)), mode="edge")
+        return Block(emission, begins, span.start)
 
     def record_block(self, block: Block) -> Recording:
         frames = block.begins + np.arange(block.emission.shape[1])
-        image = self.optical(block.emission, frames)
-        adu = camera.expose(image, self.setup.camera, self.streams, frames, self.sensor)
+        image = self.optical(block.emission, np.maximum(frames, 0))
+        numbers = frames % self.n_frames  # of chance: before the movie that of its end
+        adu = camera.expose(image, self.setup.camera, self.streams, numbers, self.sensor)
         kept = slice(block.start - block.begins, None)
         return Recording(image[kept], adu[kept])
 
 
 @dataclass(frozen=True)
 class Block:
-    """Frames to record from `start` on: their emission (molecule, frame), which `begins` at a frame before."""
+    """Frames to record from `start` on: their emission (molecule, frame), which `begins` at a frame before (below 0:
+    before the movie)."""
 
     emission: NDArray[Any]
     begins: int
