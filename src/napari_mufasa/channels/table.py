@@ -10,7 +10,7 @@ import numpy as np
 from napari_mufasa.files.openfret import write_openfret
 from napari_mufasa.files.traces import Unit, hdf5_file
 from napari_mufasa.files.whole import PathLike, write_table
-from napari_mufasa.traces.table import trace_table
+from napari_mufasa.traces.table import counted_from, trace_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,18 +47,21 @@ def openfret_pair(path: PathLike, paired: PairedTraces, acquisition: Acquisition
 
 def write_pair(
     directory: PathLike, paired: PairedTraces, *, hdf5: bool = False, openfret: bool = False,
-    acquisition: Acquisition | None = None,
+    acquisition: Acquisition | None = None, first_frame: int = 0,
 ) -> None:  # fmt: skip
     """traces.csv (see `pair_table`), donor.csv and acceptor.csv as traces of one channel, molecules.csv with every
-    candidate and its reason, channels.json; with `hdf5` traces.h5, with `openfret` traces.openfret.json.
+    candidate and its reason, channels.json; with `hdf5` traces.h5, with `openfret` traces.openfret.json. Frames of the
+    CSV tables as in `write_traces`.
 
     traces.h5 holds ``traces`` (of both channels together), ``donor`` and ``acceptor`` of the kept molecules.
     """
     folder = Path(directory)
-    write_table(folder / "traces.csv", pair_table(paired))
-    for name, side in (("donor", paired.donor), ("acceptor", paired.acceptor)):
-        write_table(folder / f"{name}.csv", trace_table(side))
-    write_table(folder / "molecules.csv", paired.molecules)
+    tables = {
+        "traces": pair_table(paired), "donor": trace_table(paired.donor), "acceptor": trace_table(paired.acceptor),
+        "molecules": paired.molecules,
+    }  # fmt: skip
+    for name, table in tables.items():
+        write_table(folder / f"{name}.csv", counted_from(first_frame, table))
     paired.channels.to_json(folder / "channels.json")
     if openfret:
         openfret_pair(folder / "traces.openfret.json", paired, acquisition)

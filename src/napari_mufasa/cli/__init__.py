@@ -50,7 +50,7 @@ def _run(arguments: list[str], debug: bool) -> int:
     import typer
 
     from napari_mufasa.cli.app import app, spread_lists
-    from napari_mufasa.errors import Cancelled, MufasaError
+    from napari_mufasa.errors import Cancelled, MufasaError, system_line
     from napari_mufasa.provenance import command
 
     try:
@@ -70,7 +70,7 @@ def _run(arguments: list[str], debug: bool) -> int:
         if _is_usage_error(error):
             return _say(_usage_line(error), BAD_INPUT, debug)
         if isinstance(error, OSError):
-            return _say(f"{_os_line(error)}", BAD_INPUT, debug)
+            return _say(system_line(error), BAD_INPUT, debug)
         if isinstance(error, MemoryError):
             return _say("not enough memory: take fewer frames or a smaller field", BAD_INPUT, debug)
         where = "" if debug else "; please report this, with what --debug shows"
@@ -106,9 +106,3 @@ def _usage_line(error: Any) -> str:
     verb = context.command_path if context is not None else "napari-mufasa"
     message = str(error.format_message()).rstrip(".")
     return f"{message[:1].lower()}{message[1:]}; see '{verb} --help'"
-
-
-def _os_line(error: OSError) -> str:
-    if error.filename is None or error.strerror is None:
-        return f"{error}: check the files and the space on the disk"
-    return f"{error.filename}: {error.strerror.lower()}; check the path, its permissions and the space on the disk"

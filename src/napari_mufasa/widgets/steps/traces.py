@@ -3,7 +3,6 @@
 import contextlib
 import weakref
 from collections.abc import Generator
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -273,30 +272,15 @@ class MoleculesPanel(Panel):
 
     def save(self, folder: str) -> str:
         """Write the kept traces and the table of candidates (docs/files.md)."""
+        from napari_mufasa.channels.table import write_pair
         from napari_mufasa.traces.table import write_traces
 
         assert self.traces is not None
         if (pair := stored(self.points, "pair")) is not None:
-            _write_pair(folder, pair, self.first_frame)
+            write_pair(folder, pair, first_frame=self.first_frame)
         else:
             write_traces(folder, self.traces, first_frame=self.first_frame)
         return f"{listed(self.files())} in {folder}"
-
-
-def _write_pair(folder: str, pair: "PairedTraces", first_frame: int) -> None:
-    """Write a pair; the frames of its tables count from the movie's first."""
-    from napari_mufasa.channels.table import pair_table, write_pair
-    from napari_mufasa.files.whole import write_table
-    from napari_mufasa.traces.table import counted_from, trace_table
-
-    write_pair(folder, pair)
-    if first_frame:
-        tables = {
-            "traces": pair_table(pair), "donor": trace_table(pair.donor), "acceptor": trace_table(pair.acceptor),
-            "molecules": pair.molecules,
-        }  # fmt: skip
-        for name, table in tables.items():
-            write_table(Path(folder) / f"{name}.csv", counted_from(first_frame, table))
 
 
 def _from_start(values: "NDArray[Any]", first_frame: int) -> "NDArray[np.float64]":

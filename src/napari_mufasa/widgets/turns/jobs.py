@@ -17,7 +17,7 @@ from typing import Any
 from qtpy.QtCore import QEvent, QObject, Qt, Signal  # type: ignore[attr-defined]
 from qtpy.QtWidgets import QProgressBar, QPushButton, QWidget
 
-from napari_mufasa.errors import Cancelled, MufasaError
+from napari_mufasa.errors import Cancelled, MufasaError, system_line
 from napari_mufasa.widgets.parts.pieces import Words, button, column, made, row, timer
 from napari_mufasa.widgets.turns.steering import Cancel, steered
 
@@ -310,14 +310,8 @@ def report_error(error: BaseException) -> str:
     from napari.utils.notifications import ErrorNotification, notification_manager, show_error
 
     if isinstance(error, (MufasaError, OSError)):
-        line = _os_line(error) if isinstance(error, OSError) else str(error)
+        line = system_line(error) if isinstance(error, OSError) else str(error)
         show_error(line)
         return line
     notification_manager.dispatch(ErrorNotification(error))
     return f"Unexpected {type(error).__name__}: {error}. The notification has the details to report."
-
-
-def _os_line(error: OSError) -> str:
-    if error.filename is None or error.strerror is None:
-        return f"{error}: check the files and the space on the disk"
-    return f"{error.filename}: {error.strerror.lower()}; check the path, its permissions and the space on the disk"
