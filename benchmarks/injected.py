@@ -3,6 +3,7 @@
     python -m benchmarks.injected                      prints what docs/real_movies.md shows
     python -m benchmarks.injected --model MODEL.json   from a model completed before, which saves its minutes
     python -m benchmarks.injected --only row_noise,none --write
+    python -m benchmarks.injected --only baseline_drift --size 0.25   a quarter as large
 
 The movie is diagnosed as it is. The completed model is then believed, and the disturbed movie diagnosed from there,
 with a budget of its own; the row "nothing" is the movie as it is once more. Disturbances are made of the counts
@@ -81,13 +82,15 @@ DISTURBANCES: tuple[Callable[[Counts, float, Rng], Counts], ...] = (
 )  # fmt: skip
 
 
-def disturbed(movie: NDArray[Any], disturb: Callable[[Counts, float, Rng], Counts] | None) -> NDArray[np.uint16]:
-    """The movie (frame, y, x) with a disturbance in it; None: as it is."""
+def disturbed(
+    movie: NDArray[Any], disturb: Callable[[Counts, float, Rng], Counts] | None, size: float = 1.0
+) -> NDArray[np.uint16]:
+    """The movie (frame, y, x) with a disturbance in it, of `size` times a pixel's noise; None: as it is."""
     if disturb is None:
         return np.asarray(movie, np.uint16)
     counts = movie.astype(float)
     noise = float(np.median(np.diff(counts, axis=0).std(axis=0)) / np.sqrt(2))
-    changed = disturb(counts, noise, np.random.default_rng(SEED))
+    changed = disturb(counts, size * noise, np.random.default_rng(SEED))
     return np.clip(np.rint(changed), 0, 65535).astype(np.uint16)
 
 
@@ -96,6 +99,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", type=Path, help="model.json of the movie as it is, completed by a diagnosis")
     parser.add_argument("--only", default="none," + ",".join(names), help="some of: none, " + ", ".join(names))
+    parser.add_argument(
+        "--size", type=float, default=1.0, help="of disturbances that are told in a pixel's noise, over the usual"
+    )
     parser.add_argument("--write", action="store_true", help="store in docs/real_movies.md")
     given = parser.parse_args()
     movie = np.asarray(files.load(DATA / NAMES[0]))
@@ -108,7 +114,9 @@ def main() -> None:
     rows, found, tried = [], 0, 0
     for name in given.only.split(","):
         with working(f"diagnosing {name}") as work:
-            report = nm.diagnose(disturbed(movie, names.get(name)), completed, seed=SEED, budget=BUDGET, **work.both())
+            report = nm.diagnose(
+                disturbed(movie, names.get(name), given.size), completed, seed=SEED, budget=BUDGET, **work.both()
+            )
         named = name in report.chosen
         found, tried = found + named, tried + (name in names)
         before, after, floor = (report.error[key] for key in ("before", "after", "floor"))
