@@ -202,6 +202,26 @@ def test_one_pixel_traces_equal_those_of_a_movie():
     assert wasserstein(one, other) < 2 * floor(one).value
 
 
+@pytest.mark.parametrize("profile", ["brightest_pixel", "sum"])
+def test_traces_without_images_begin_as_bright_as_they_go_on_where_the_image_lags(profile):
+    """The sensor was in the light of the first frame before it."""
+    from napari_mufasa.compare.simulated import FarApart
+    from napari_mufasa.traces import Options
+
+    model = nm.preset("FF").with_values({"acquisition.n_frames": 40, "fluorophore.cycles_before_bleaching": None})
+    model = model.with_effects(effect_class("image_lag")(fraction=0.4, kept=0.8, form="decaying"))
+    field = FarApart(
+        model.sigma_px,
+        1500,
+        Options(psf_sigma_px=model.sigma_px, profile=profile, subtract_background=False),
+        3,
+        quick=True,
+    )
+    traces = field.traces(field.acquisitions(model, 5)["mufasa"])
+    start, later = traces[:, :2].mean(axis=1), traces[:, 20:].mean()
+    assert start.mean() == pytest.approx(later, abs=4 * start.std() / np.sqrt(1500) + 0.01 * later)
+
+
 @pytest.mark.parametrize("camera", ["emccd", "cmos"])
 @pytest.mark.parametrize(
     ("profile", "subtracted"), [("psf", True), ("sum", True), ("brightest_pixel", True), ("psf", False)]

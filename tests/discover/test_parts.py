@@ -563,20 +563,29 @@ def test_moments_are_light_whatever_gain_the_movie_is_seen_with(with_dark):
     assert there.camera.electrons_per_adu == model.camera.electrons_per_adu  # left to all observables together
 
 
-def test_matching_begins_with_the_molecules_of_a_model_that_hides_many_or_else_with_the_spots(monkeypatch):
-    """As many as there are spots would each be far too bright where most molecules are too dim to be found; but no more
-    than fit the field as far apart as its spots are."""
+@pytest.mark.parametrize("believed, own", [(120, True), (50, False), (2000, False)])
+def test_matching_begins_with_a_models_own_molecules_where_it_hides_many_and_shows_what_the_movie_shows(
+    believed, own, monkeypatch
+):
+    """As many as there are spots would each be far too bright where most are too dim to be found; but a number that is
+    not the movie's is no place to begin with."""
     monkeypatch.setattr("napari_mufasa.discover.movie_bench.MATCHING_ROUNDS", 0)
-    values = {"acquisition.n_frames": 100, "acquisition.shape_px": (64, 64), "sample.n_molecules": 120}
-    plain = nm.preset("FF").with_values(values)
-    hiding = plain.with_effects(effect_class("brightness_heterogeneity")(spread=2.0))
-    for model in (plain, hiding):
-        bench = MovieBench(prepare(nm.simulate(hiding, seed=4).movie, model, None), 1)
-        spots = bench.measured.part("all")[bench.names.index("spots")] ** 2
-        assert spots < 0.4 * 120
-        there = bench.matched(bench.start).sample
-        fit = 0.4 * 64**2 / (np.pi * there.min_distance_px**2 / 4) if there.min_distance_px else 120
-        assert there.n_molecules == pytest.approx(min(120, fit) if model is hiding else 1.15 * spots, abs=0.5)
+    model = nm.preset("FF").with_values({"acquisition.n_frames": 100, "acquisition.shape_px": (96, 96)})
+    model = model.with_effects(effect_class("brightness_heterogeneity")(spread=1.5))
+    movie = nm.simulate(model.with_values({"sample.n_molecules": 120}), seed=4).movie
+    bench = MovieBench(prepare(movie, model.with_values({"sample.n_molecules": believed}), None), 1)
+    spots = bench.measured.part("all")[bench.names.index("spots")] ** 2
+    assert spots < 0.6 * 120
+    there = bench.matched(bench.start).sample.n_molecules
+    assert there == pytest.approx(believed if own else 1.15 * spots, abs=0.5)
+    assert bench.done == 2 == bench.matching_simulations
+
+
+def test_a_part_of_a_field_has_its_share_of_the_molecules():
+    model = nm.preset("FF").with_values({"sample.n_molecules": 4000})
+    measurement = prepare(np.random.default_rng(1).poisson(1000, (40, 512, 512)).astype(np.uint16), model)
+    part = np.prod(measurement.movie.shape[1:]) / 512**2
+    assert part < 0.7 and measurement.model.sample.n_molecules == round(4000 * part)
 
 
 def test_preparation_crops_large_movies_and_says_so():

@@ -104,6 +104,7 @@ def test_a_folder_that_is_written_again_is_of_one_run(place):
     words = ("traces", "movie.tif", "--model", "model.json", "--out", "t")
     assert run(*words, "--hdf5", "--openfret") == 0
     kept = {"notes.txt": "mine", "my traces.csv": "mine", "other.png": "mine", ".paths.csv": "mine"}
+    kept["channels.json"] = "what register found"
     (place / "t/donor.csv").write_text("of an earlier run of two channels")
     for name, text in kept.items():
         (place / "t" / name).write_text(text)

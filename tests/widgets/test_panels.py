@@ -472,6 +472,11 @@ def test_dark_frames_that_are_opened_are_those_of_the_movie(with_movie, open_pan
     assert session.dark_layer is panel.form.dark.value is with_movie.layers["shutter"]
     assert np.array_equal(session.measurement().dark, dark)
     assert "shutter holds dark frames" in panel.run_bar.message.text()
+    small = str(tmp_path / "small.ome.tif")
+    write_movie(small, [dark[:, :20]], dark[:, :20].shape, dark.dtype, role="dark frames")
+    with qtbot.waitSignal(panel.run_bar.finished, timeout=60_000):
+        panel.open_movie(small)
+    assert session.dark_layer is with_movie.layers["shutter"] and "choose others" in panel.run_bar.message.text()
 
 
 @pytest.mark.parametrize(("zarr_format", "chosen"), [(3, "zarr.json"), (2, ".zarray"), (2, ".zattrs")])

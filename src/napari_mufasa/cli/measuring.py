@@ -161,13 +161,13 @@ def traces(
 ) -> None:
     """Find the molecules and write their traces, all candidates with reasons, and a figure."""
     from napari_mufasa import files
-    from napari_mufasa.files.outputs import PAIR, TRACES
+    from napari_mufasa.files.outputs import PAIR, REGISTRATION, TRACES
     from napari_mufasa.model.model import Model
     from napari_mufasa.report import figures
     from napari_mufasa.traces import extract_traces
     from napari_mufasa.traces.table import write_traces
 
-    console.check_folder_out(out, overwrite, (*TRACES, *PAIR), movie, model, dark, channels)
+    console.check_folder_out(out, overwrite, (*TRACES, *PAIR, REGISTRATION), movie, model, dark, channels)
     options = {
         "window": window, "best": best, "max_steps": max_steps, "min_steps": min_steps, "follow_drift": follow_drift,
         "profile": profile, "subtract_background": not with_background, "threshold": threshold,

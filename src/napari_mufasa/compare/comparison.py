@@ -349,7 +349,7 @@ _NOT_MOLECULES = ("narrower than the PSF", "never on")
 def _places(model: Model, measured: TraceSet, seed: int) -> NDArray[np.float64]:
     """Where molecules are simulated (molecule, 2): where candidates were found. They are a selection by brightness: a
     model that says how many are too dim to be found has all its molecules, in places of its own."""
-    if any(effect.hides_molecules for effect in model.effects):
+    if model.hides_molecules:
         return layout.place(model, Streams(seed).of("positions"))
     candidates = ~measured.molecules["reason"].isin(_NOT_MOLECULES).to_numpy()
     return np.asarray(measured.positions_px[candidates])

@@ -239,7 +239,8 @@ def _detected(
     scene, camera = acquisition.scene, acquisition.model.camera
     if not read_noise:
         camera = camera.model_copy(update={"read_noise_e": 0.0, "clock_induced_charge_e": 0.0})
-    frames = np.arange(scene.n_frames)
-    image = np.ascontiguousarray(light.T[:, None], dtype=np.float32)
-    adu = detector.expose(image, camera, scene.streams, frames, scene.sensor)
+    before = scene.sensor.memory_frames  # in the light of the first
+    image = np.pad(light.T[:, None], ((before, 0), (0, 0), (0, 0)), mode="edge").astype(np.float32)
+    numbers = scene.numbers(np.arange(-before, scene.n_frames))
+    adu = detector.expose(image, camera, scene.streams, numbers, scene.sensor)[before:]
     return detector.photoelectrons(adu, camera)[:, 0].T

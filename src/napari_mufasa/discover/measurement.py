@@ -86,7 +86,7 @@ def prepare(movie: Any, model: Model, dark: Any = None) -> Measurement:
         data, shape = data[begin:stop], ((stop if stop < frames else shape[0]) - begin, *shape[1:])
         region = (slice(0, len(data)), rows, columns)
     whole = model.in_shape(n_frames=shape[0], shape_px=shape[1:])
-    here = whole.in_shape(region=region).with_values({"sample.layout": "random"})
+    here = _part_of(whole, region).with_values({"sample.layout": "random"})
     return Measurement(data, dark_data, here, tuple(notes), Extent.of(region, shape), shape, begin)
 
 
@@ -94,8 +94,13 @@ def cropped(model: Model) -> Model:
     """The model of the part of its movie that a diagnosis looks at: as many molecules per area."""
     timing = model.acquisition
     frames = min(timing.n_frames, FRAMES)
-    part = model.in_shape(region=(slice(0, frames), *window(timing.shape_px, VOXELS // frames)))
-    area = float(np.prod(part.acquisition.shape_px)) / float(np.prod(timing.shape_px))
+    return _part_of(model, (slice(0, frames), *window(timing.shape_px, VOXELS // frames)))
+
+
+def _part_of(model: Model, region: tuple[slice, slice, slice]) -> Model:
+    """The model of a region (frames, rows, columns) of its movie: as many molecules per area."""
+    part = model.in_shape(region=region)
+    area = float(np.prod(part.acquisition.shape_px)) / float(np.prod(model.acquisition.shape_px))
     return part.with_values({"sample.n_molecules": max(1, round(model.sample.n_molecules * area))})
 
 

@@ -30,6 +30,7 @@ from napari_mufasa.discover.read_off import (
     told_for,
 )
 from napari_mufasa.discover.result import Curve
+from napari_mufasa.discover.rules import LINEAR
 from napari_mufasa.discover.seen_courses import dark_course, stands_still
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.extent import Extent
@@ -73,7 +74,6 @@ class SimulatedMovies:
 class MovieBench(Bench[Observation]):
     """Simulates and observes movies, with dark frames where the measurement has some."""
 
-    matching_simulations = 2 * MATCHING_ROUNDS
     shows_camera = True
     read_last = READ_LAST
 
@@ -102,6 +102,7 @@ class MovieBench(Bench[Observation]):
         if measurement.dark is None:
             notes.append("No dark frames were given: offset, read noise and clock-induced charge rest on the model.")
         super().__init__(measurement.model, measured, seed, notes, progress, cancel, client)
+        self.matching_simulations = 2 * (MATCHING_ROUNDS + self.start.hides_molecules)
 
     @property
     def simulated(self) -> SimulatedMovies:
@@ -117,17 +118,26 @@ class MovieBench(Bench[Observation]):
         return nuisance.nuisances(model, self.start)
 
     def matched(self, model: Model) -> Model:
-        """Molecules as far apart as the spots tell; brightness, width, density, baseline and background by moments. As
-        many as there are spots to begin with, but where effects of the model hide many: then as many as it has."""
+        """Molecules as far apart as the spots tell; brightness, width, density, baseline and background by moments. To
+        begin with as many molecules as there are spots, or, where effects of the model hide many, as it has: if it
+        shows about as many spots, and as bright, as the movie."""
         measured, spots = as_table(self.names, self.measured.part("all")), self.measured.spots
         height, width = model.acquisition.shape_px
         model = nuisance.spaced(model, spots.positions_px, height * width)
-        hidden = any(effect.hides_molecules for effect in model.effects)
-        model = nuisance.with_molecules(model, model.sample.n_molecules if hidden else 1.15 * measured["spots"] ** 2)
+        begun = nuisance.with_molecules(model, 1.15 * measured["spots"] ** 2)
+        if model.hides_molecules:
+            model = nuisance.with_molecules(model, model.sample.n_molecules)
+            shown = self._moments(model, MATCHING_SEED)
+            more = 2 * np.log(max(shown["spots"], 0.5) / measured["spots"])
+            begun = model if max(abs(more), abs(shown["level"] - measured["level"])) < LINEAR else begun
         for turn in range(MATCHING_ROUNDS):
-            rows = self.rows([(model, MATCHING_SEED + 10 * turn + k) for k in range(2)])
-            model = nuisance.moment_step(model, self.start, measured, as_table(self.names, rows[:, 0].mean(axis=0)))
-        return model
+            shown = self._moments(begun, MATCHING_SEED + 10 * turn)
+            begun = nuisance.moment_step(begun, self.start, measured, shown)
+        return begun
+
+    def _moments(self, model: Model, seed: int) -> dict[str, float]:
+        """What two movies of a model show on average."""
+        return as_table(self.names, self.rows([(model, seed + k) for k in range(2)])[:, 0].mean(axis=0))
 
     def read_off(self, kind: str, beside: Model | None = None, part: str = "all") -> dict[str, Any]:
         if kind == "converter_codes":

@@ -285,7 +285,7 @@ class BaselineDrift(Effect):
             frames = np.arange(before.sum()) + 0.5
             drift_adu[before] = self.in_dark * told(self.dark_course, frames / len(frames))
         offset_e = (drift_adu * scene.setup.camera.electrons_per_adu).astype(np.float32)
-        scene.sensor.output.append(lambda e, frames: e + offset_e[frames, None, None])
+        scene.sensor.output.append(lambda e, frames: e + scene.of_frames(offset_e, frames)[:, None, None])
 
 
 TRACK_PX = 7  # of a particle's track at most

@@ -161,7 +161,7 @@ class HotPixels(Effect):
             on = ((np.cumsum(switches, axis=0) + rng.integers(0, 2, on.shape[1])) % 2).astype(np.float32)
 
         def add(expected: Stack, frames: Frames) -> Stack:
-            expected[:, where[0], where[1]] += leak[where] * on[frames]
+            expected[:, where[0], where[1]] += leak[where] * scene.of_frames(on, frames)
             return expected
 
         scene.sensor.expected.append(add)

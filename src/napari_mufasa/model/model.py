@@ -156,6 +156,11 @@ class Model(Setup):
         nothing = extent is None or extent.is_whole or not self.effects
         return self.model_copy(update={"effects_refer_to": None if nothing else extent})
 
+    @property
+    def hides_molecules(self) -> bool:
+        """Whether effects leave many of its molecules too dim to be found one by one."""
+        return any(effect.hides_molecules for effect in self.effects)
+
     def with_effects(self, *effects: Effect) -> Model:
         """A copy with further effects; one of a kind already there is replaced."""
         for effect in effects:

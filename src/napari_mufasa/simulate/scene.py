@@ -245,11 +245,20 @@ class Scene:
             emission = np.pad(emission, ((0, 0), (-begins, 0)), mode="edge")
         return Block(emission, begins, span.start)
 
+    def numbers(self, frames: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Numbers of frames for the camera, which name their chance: those before the movie (below 0) come after it."""
+        return np.where(frames < 0, self.n_frames - 1 - frames, frames)
+
+    def of_frames(self, values: NDArray[Any], numbers: NDArray[np.int64]) -> NDArray[Any]:
+        """Of values (frame, …) those of frames as the camera numbers them; before the movie they were those of its
+        first."""
+        picked: NDArray[Any] = values[np.where(numbers < self.n_frames, numbers, 0)]
+        return picked
+
     def record_block(self, block: Block) -> Recording:
         frames = block.begins + np.arange(block.emission.shape[1])
         image = self.optical(block.emission, np.maximum(frames, 0))
-        numbers = frames % self.n_frames  # of chance: before the movie that of its end
-        adu = camera.expose(image, self.setup.camera, self.streams, numbers, self.sensor)
+        adu = camera.expose(image, self.setup.camera, self.streams, self.numbers(frames), self.sensor)
         kept = slice(block.start - block.begins, None)
         return Recording(image[kept], adu[kept])
 

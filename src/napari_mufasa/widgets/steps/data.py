@@ -108,8 +108,7 @@ class DataPanel(Panel):
         yield from added(self.viewer, layers)
         movie = next((layer for layer in layers if stored(layer, "role") != "dark frames"), None)
         if movie is None:
-            self.session.set_dark(layers[0])
-            self.run_bar.say(f"{layers[0].name} holds dark frames, and is taken as those of the movie.")
+            self._take_dark(layers[0])
             return
         self.session.set_movie(movie)
         yield
@@ -117,6 +116,20 @@ class DataPanel(Panel):
             self.session.take_model_of_movie()
         yield
         self.viewer.dims.set_point(0, 0)
+
+    def _take_dark(self, dark: Any) -> None:
+        """Dark frames that were opened are those of the movie, where they are of its size."""
+        lit = self.session.movie_layer
+        if lit is not None and lit.data.shape[-2:] != dark.data.shape[-2:]:
+            (h, w), (height, width) = dark.data.shape[-2:], lit.data.shape[-2:]
+            self.run_bar.say(
+                f"{dark.name} holds dark frames of {h} × {w} pixels, the movie has {height} × {width}: choose others.",
+                error=True,
+            )
+            return
+        self.session.set_dark(dark)
+        whose = "those of the movie" if lit is not None else "those of the movie that you open next"
+        self.run_bar.say(f"{dark.name} holds dark frames, and is taken as {whose}.")
 
     def refresh(self) -> None:
         layer, model = self.session.movie_layer, self.session.model
