@@ -27,7 +27,7 @@ from benchmarks.scenes import REAL_DATA as DATA
 from napari_mufasa import files
 from napari_mufasa.cli.console import working
 
-BUDGET = 900
+BUDGET = 1500
 SEED = 1
 
 Counts = NDArray[np.float64]
