@@ -23,8 +23,8 @@ def course(
     Before the movie (progress below 0: dark frames) a law goes on backwards.
 
     What saturates settles exponentially, within `settling_time` of the movie by all but 1/e; it began to twice
-    that before the movie, and is held until then. What wanders follows
-    `seen`, values at equal times, where they are given; else it is a random walk.
+    that before the movie, and is held until then. What wanders follows `seen`, values at equal times, where they are
+    given; else it is a random walk.
     """
     progress = scene.progress
     if form == "linear":

@@ -54,9 +54,7 @@ class Scene:
     background_field: list[FieldMap] = field(default_factory=list)  # background only
     walk_px: NDArray[np.float32] | None = None  # (frame, molecule, 2) motion of each molecule
     light_of_each: NDArray[np.float32] | None = None  # (molecule, frame) what each molecule gets of the light
-    arrival: NDArray[np.int64] | None = (
-        None  # (molecule,) frame from which each one is there and moves; None: the first
-    )
+    arrival: NDArray[np.int64] | None = None  # (molecule,) frame from which each is there; None: the first
     present: float = 1.0  # of all molecules, the share that is there at a time
     populations: list[Population] = field(default_factory=list)  # in the order of their molecules
     halo: tuple[float, float] | None = None  # share of the light in a wider PSF, and how many times wider it is
