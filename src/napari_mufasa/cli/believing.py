@@ -48,11 +48,11 @@ def calibrate(
     from napari_mufasa.propose.written import camera_told
 
     console.check_apart(out, report, figure)
-    console.check_figure_out(figure)
     for path in (out, report, figure):
         if path is not None:
             console.check_file_out(path, overwrite)
             console.check_not_read(path, movie, dark)
+    console.check_figure_out(figure)
     recorded = files.read_movie(movie).recorded().data
     background = console.dark_frames(dark)
     written = read_instrument(movie)
