@@ -4,6 +4,7 @@
     python -m benchmarks.injected --model MODEL.json   from a model completed before, which saves its minutes
     python -m benchmarks.injected --only row_noise,none --write
     python -m benchmarks.injected --only baseline_drift --size 0.25   a quarter as large
+    python -m benchmarks.injected --only image_lag --budget 1500      with more simulations
 
 The movie is diagnosed as it is. The completed model is then believed, and the disturbed movie diagnosed from there,
 with a budget of its own; the row "nothing" is the movie as it is once more. Disturbances are made of the counts
@@ -27,7 +28,7 @@ from benchmarks.scenes import REAL_DATA as DATA
 from napari_mufasa import files
 from napari_mufasa.cli.console import working
 
-BUDGET = 1500
+BUDGET = 900
 SEED = 1
 
 Counts = NDArray[np.float64]
@@ -102,6 +103,7 @@ def main() -> None:
     parser.add_argument(
         "--size", type=float, default=1.0, help="of disturbances that are told in a pixel's noise, over the usual"
     )
+    parser.add_argument("--budget", type=int, default=BUDGET, help="simulations of each diagnosis")
     parser.add_argument("--write", action="store_true", help="store in docs/real_movies.md")
     given = parser.parse_args()
     movie = np.asarray(files.load(DATA / NAMES[0]))
@@ -115,7 +117,7 @@ def main() -> None:
     for name in given.only.split(","):
         with working(f"diagnosing {name}") as work:
             report = nm.diagnose(
-                disturbed(movie, names.get(name), given.size), completed, seed=SEED, budget=BUDGET, **work.both()
+                disturbed(movie, names.get(name), given.size), completed, seed=SEED, budget=given.budget, **work.both()
             )
         named = name in report.chosen
         found, tried = found + named, tried + (name in names)
