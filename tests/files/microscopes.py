@@ -142,6 +142,34 @@ def write_lif(path: Path, movie: Movie) -> Path:
     return path
 
 
+def write_micro_manager_stack(path: Path, movie: Movie, announced: int, first: int = 0) -> Path:
+    """As Micro-Manager writes a stack: where each frame is, at the end; `announced` frames were asked for, of which
+    this file's begin with number `first`; its name holds "_MMStack"."""
+    n, height, width = movie.shape
+    summary = json.dumps(
+        {"MicroManagerVersion": "2.0.0", "Frames": announced, "Slices": 1, "Channels": 1, "Positions": 1}
+        | {"TimeFirst": False, "SlicesFirst": True, "Prefix": path.name.split("_MMStack")[0]}
+    ).encode()
+    told = json.dumps({"Exposure-ms": 30.0, "PixelSizeUm": 0.1075}).encode()
+    start, pixels = 40 + len(summary), 2 * height * width
+    offsets = [start + t * (162 + pixels + len(told)) for t in range(n)]
+    end = offsets[-1] + 162 + pixels + len(told)
+    content = b"II*\0" + struct.pack("<IIIIIII", start, 54773648, end, 483765892, 0, 99384722, 0)
+    content += struct.pack("<II", 2355492, len(summary)) + summary
+    for t, frame in enumerate(movie.astype("<u2")):
+        data = offsets[t] + 162
+        tags = [(256, 4, 1, width), (257, 4, 1, height), (258, 3, 1, 16), (259, 3, 1, 1), (262, 3, 1, 1)]
+        tags += [(273, 4, 1, data), (274, 3, 1, 1), (277, 3, 1, 1), (278, 4, 1, height), (279, 4, 1, pixels)]
+        tags += [(284, 3, 1, 1), (296, 3, 1, 3), (51123, 2, len(told), data + pixels)]
+        after = offsets[t + 1] if t + 1 < n else 0
+        content += struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags)
+        content += struct.pack("<I", after) + frame.tobytes() + told
+    content += struct.pack("<II", 3453623, n)
+    content += b"".join(struct.pack("<IIIII", 0, 0, first + t, 0, offset) for t, offset in enumerate(offsets))
+    path.write_bytes(content)
+    return path
+
+
 def write_micro_manager(path: Path, movie: Movie) -> Path:
     """As Micro-Manager 2 does: settings of all devices, as JSON, in a tag of every frame."""
     told = {"PixelSizeUm": 0.1075, "Exposure-ms": 30.0, "Interval_ms": 40.0, "Camera": "Andor"}

@@ -3,12 +3,14 @@
 import importlib.util
 import json
 import re
+import warnings
 
 import numpy as np
 import pandas as pd
 import pytest
 import tifffile
 import zarr
+from tests.files.microscopes import write_micro_manager_stack
 from tests.trust.refusal import check_line
 
 from napari_mufasa import Cancelled, Model, MufasaError, files, preset
@@ -165,6 +167,25 @@ def test_a_movie_in_two_files_is_whole_or_told(tmp_path):
     check_line(complaint(files.read_movie, tmp_path / "a.ome.tif"), "refers to b.ome.tif, which is not there: copy")
     (tmp_path / "b.ome.tif").write_bytes((tmp_path / "elsewhere").read_bytes()[:100])
     check_line(complaint(files.read_movie, tmp_path / "a.ome.tif"), "announces 8 frames, 4 can be read")
+
+
+def test_a_recording_of_micro_manager_that_was_stopped_early_is_read_as_far_as_it_goes(tmp_path):
+    first, second = tmp_path / "movie_MMStack.ome.tif", tmp_path / "movie_MMStack_1.ome.tif"
+    write_micro_manager_stack(first, TWO, announced=8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        np.testing.assert_array_equal(files.load(first), TWO)
+    assert files.read_movie(first).pixel_size_nm == pytest.approx(107.5)
+    write_micro_manager_stack(first, TWO[:5], announced=20)
+    with pytest.warns(UserWarning, match="announces 20 frames, 5 are there, which are read"):
+        np.testing.assert_array_equal(files.load(first), TWO[:5])
+    write_micro_manager_stack(second, TWO[5:], announced=20, first=5)  # in the second of two files
+    with pytest.warns(UserWarning, match="announces 20 frames, 8 are there, which are read"):
+        movie = files.read_movie(first)
+    assert movie.data.shape == TWO.shape
+    np.testing.assert_array_equal(movie.data, TWO)
+    write_micro_manager_stack(second, TWO[6:], announced=20, first=6)  # one in between is gone
+    check_line(complaint(files.read_movie, first), "announces 20 frames, 7 can be read: copy all files")
 
 
 def test_a_file_that_was_renamed_needs_no_other(tmp_path):

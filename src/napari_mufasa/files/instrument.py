@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from napari_mufasa.files import formats
+from napari_mufasa.files.opening import complaints
 from napari_mufasa.files.whole import PathLike
 
 
@@ -91,7 +92,11 @@ def read_instrument(path: PathLike) -> Instrument:
     if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
         return Instrument()
     found: dict[str, Any] = {}
-    with contextlib.suppress(Exception), tifffile.TiffFile(path) as file:  # metadata must never stop a movie
+    with (
+        contextlib.suppress(Exception),
+        complaints(),
+        tifffile.TiffFile(path) as file,
+    ):  # metadata must never stop a movie
         for name, value in _everything(file):
             _take(found, name, value)
     return Instrument(**found)

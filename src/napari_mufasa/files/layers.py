@@ -14,7 +14,8 @@ from napari_mufasa.checks import counted
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.formats import FORMATS, is_format
 from napari_mufasa.files.instrument import Instrument
-from napari_mufasa.files.movies import METADATA_KEY, PHOTONS, complaints, read_movie, write_movie
+from napari_mufasa.files.movies import METADATA_KEY, PHOTONS, read_movie, write_movie
+from napari_mufasa.files.opening import complaints
 
 LayerData = tuple[Any, dict[str, Any], str]
 MOVIE_SUFFIXES = (".tif", ".tiff", ".zarr", *FORMATS)

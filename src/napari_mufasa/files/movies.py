@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
 import uuid
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +19,7 @@ from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files import formats, growing
 from napari_mufasa.files.instrument import Instrument, read_instrument
-from napari_mufasa.files.opening import Guarded, check_all_there, check_zarr, no_other_files
+from napari_mufasa.files.opening import Guarded, check_zarr, complaints, frames_there, no_other_files
 from napari_mufasa.files.whole import PathLike, replacing
 from napari_mufasa.provenance import Describes, made_by
 
@@ -88,14 +87,14 @@ def read_movie(path: PathLike) -> Movie:
     if not (path.is_file() or path.is_dir()):
         raise MufasaError(f"{path} is neither file nor folder: give a TIFF, OME-TIFF or zarr movie")
     try:
-        array, metadata = _opened(path)
+        frames, metadata = _opened(path)
     except MufasaError:
         raise
     except RecursionError:
         raise MufasaError(f"{path} is not a readable movie (nested too deep): export it anew") from None
     except Exception as error:
         raise MufasaError(f"{path} is not a readable movie ({error}): export it anew") from None
-    data = checks.stack(_lazy(array, path), str(path), single=True)
+    data = checks.stack(frames, str(path), single=True)
     return Movie(data, path, metadata)
 
 
@@ -103,7 +102,7 @@ def _opened(path: Path) -> tuple[Any, dict[str, Any]]:
     if is_zarr(path) or path.is_dir():
         return _open_zarr(path)
     if formats.is_format(path):
-        return formats.opened(path).frames, {}
+        return _lazy(formats.opened(path).frames, path), {}
     return _open_tiff(path)
 
 
@@ -232,7 +231,7 @@ def _open_zarr(path: Path) -> tuple[Any, dict[str, Any]]:
     there, whole = array.nchunks_initialized, array.nchunks
     if whole and (there == 0 or ("version" in metadata and there < whole)):
         raise MufasaError(f"{path} is damaged ({whole - there} of {whole} chunks are missing): copy or export it anew")
-    return array, metadata
+    return _lazy(array, path), metadata
 
 
 def _open_tiff(path: Path) -> tuple[Any, dict[str, Any]]:
@@ -256,7 +255,7 @@ def _open_tiff(path: Path) -> tuple[Any, dict[str, Any]]:
         if series.nbytes > MOST_PACKED * path.stat().st_size:
             size, claimed = checks.size(path.stat().st_size), checks.size(series.nbytes)
             raise MufasaError(f"{path} claims {claimed} of pixels in {size} of file: damaged; copy or export it anew")
-        check_all_there(series, file.ome_metadata or "", path)
+        frames = frames_there(file, path)
         last = file.pages[n_pages - 1]
         if last.dataoffsets and last.dataoffsets[-1] + last.databytecounts[-1] > path.stat().st_size:
             raise MufasaError(f"{path} is truncated: copy it anew")
@@ -264,7 +263,7 @@ def _open_tiff(path: Path) -> tuple[Any, dict[str, Any]]:
         array = zarr.open(tifffile.imread(path, aszarr=True), mode="r")
     if isinstance(array, zarr.Group):
         array = array["0"]
-    return array, metadata
+    return _lazy(array, path)[:frames], metadata
 
 
 def _check_axes(series: Any, path: Path) -> None:
@@ -292,27 +291,6 @@ def _check_axes(series: Any, path: Path) -> None:
     if any(axis == "C" for axis, _ in named):
         count = dict(named)["C"]
         warnings.warn(f"{path} has {count} channels and no other frames: they are taken as frames", stacklevel=4)
-
-
-@contextlib.contextmanager
-def complaints() -> Iterator[list[str]]:
-    """The errors that tifffile logs instead of raising; what else it logs is not for users."""
-    found: list[str] = []
-
-    def note(record: logging.LogRecord) -> None:
-        if record.levelno >= logging.ERROR:
-            found.append(record.getMessage())
-
-    handler = logging.Handler()
-    handler.emit = note  # type: ignore[method-assign]
-    logger = logging.getLogger("tifffile")
-    passes_on, logger.propagate = logger.propagate, False
-    logger.addHandler(handler)
-    try:
-        yield found
-    finally:
-        logger.removeHandler(handler)
-        logger.propagate = passes_on
 
 
 def _tiff_metadata(file: Any) -> dict[str, Any]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import json
+import logging
 import os
 import re
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -112,18 +116,49 @@ def no_other_files(ome_xml: str, path: Path) -> None:
             raise MufasaError(f"{path} refers to a file elsewhere ({name}): export the movie as one file")
 
 
-def check_all_there(series: Any, ome_xml: str, path: Path) -> None:
-    """Raise for a TIFF that announces frames which no file holds: they would be read as zeros."""
+@contextlib.contextmanager
+def complaints() -> Iterator[list[str]]:
+    """The errors that tifffile logs instead of raising; what else it logs is not for users."""
+    found: list[str] = []
+
+    def note(record: logging.LogRecord) -> None:
+        if record.levelno >= logging.ERROR:
+            found.append(record.getMessage())
+
+    handler = logging.Handler()
+    handler.emit = note  # type: ignore[method-assign]
+    logger = logging.getLogger("tifffile")
+    passes_on, logger.propagate = logger.propagate, False
+    logger.addHandler(handler)
+    try:
+        yield found
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = passes_on
+
+
+def frames_there(file: Any, path: Path) -> int | None:
+    """How many frames of a TIFF's first series can be read; None: all. A recording of Micro-Manager that was stopped
+    early is read as far as it goes, with a warning. Raises for any other that announces frames which no file holds:
+    they would be read as zeros."""
+    series, ome_xml = file.series[0], file.ome_metadata or ""
     if series.kind not in ("ome", "mmstack"):  # all others are what is there
-        return
+        return None
     there = [page is not None for page in series]
+    n = sum(there)
+    if series.kind == "mmstack" and n and all(there[:n]):
+        announced = max(len(there), int(file.micromanager_metadata["Summary"].get("Frames", 0)))
+        if announced > n:
+            why = "the recording was stopped early, or a further file of it is missing"
+            warnings.warn(f"{path} announces {announced} frames, {n} are there, which are read: {why}", stacklevel=4)
+        return n if n < len(there) else None
     if all(there):
-        return
+        return None
     for name in _file_names(ome_xml):
         if not (path.parent / name).exists():
             raise MufasaError(f"{path} refers to {name}, which is not there: copy it beside this file")
     raise MufasaError(
-        f"{path} announces {len(there)} frames, {sum(there)} can be read: copy all files of the movie anew, or export "
+        f"{path} announces {len(there)} frames, {n} can be read: copy all files of the movie anew, or export "
         "it as one file"
     )
 

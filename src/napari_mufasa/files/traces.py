@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.errors import MufasaError
-from napari_mufasa.files.movies import complaints, load
+from napari_mufasa.files.movies import load
 from napari_mufasa.files.openfret import read_openfret, write_openfret
+from napari_mufasa.files.opening import complaints
 from napari_mufasa.files.whole import PathLike, replacing, write_bytes, write_table
 from napari_mufasa.provenance import made_by
 
