@@ -15,7 +15,19 @@ import numpy as np
 
 from . import haar
 from .fused import level_pass, settle
-from .kernels import BUMP, ONE, OWN, bumps, gram, linear_terms, per_level, predictions, surroundings, threshold_terms
+from .kernels import (
+    BEYOND,
+    BUMP,
+    ONE,
+    OWN,
+    bumps,
+    gram,
+    linear_terms,
+    per_level,
+    predictions,
+    surroundings,
+    threshold_terms,
+)
 from .risk import RiskSystem
 
 if TYPE_CHECKING:
@@ -94,6 +106,10 @@ class Bands:
         for guide, relative in zip(map(_three_bands, guides.images), guides.noise, strict=True):
             wider = width * (1.0 + float(relative))
             self.families += [Family(guide, 3), Family(self.d - guide, 2, threshold=(guide, wider))]
+        if n_guides:  # the last shows most, and dim spots that stand still by itself
+            far = BEYOND * float(self.n) * max(float(guides.noise[-1]), 1e-6)
+            noise_like = bumps(guide, np.maximum(s_beside, 0), self.rest, nothing, self.own, far)
+            self.families.append(Family(guide * (ONE - noise_like), 1))
 
     def candidates(self) -> Iterator[Array]:
         """Details (band, rows, cols) of every candidate, in the order of the weights."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from napari_mufasa.compiled import inlined, vectorised
 
-from .kernels import EIGHTH, NARROW, ONE, OWN, PER_GUIDE, SPATIAL, WIDE, ZERO
+from .kernels import BEYOND, EIGHTH, NARROW, ONE, OWN, PER_GUIDE, SPATIAL, WIDE, ZERO
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,10 +38,10 @@ S, D0, D1, D2, SUM, SQUARE = 0, PITCH, 2 * PITCH, 3 * PITCH, 4 * PITCH, 5 * PITC
 ACROSS, SIDE0, SIDE1, SIDE2 = 6 * PITCH, 7 * PITCH, 8 * PITCH, 9 * PITCH
 RING_ROW = 10 * PITCH
 #: The sheet of the row in work: Gaussian variance, blocks side by side, energy of the guides, inverse noise level,
-#: classes, and the three details of the result.
+#: classes, the three details of the result, and the inverse noise level without the block's own share.
 VARIANCE, COUNT, ENERGY, LEVEL, EMPTY, NEARLY = 0, PITCH, 2 * PITCH, 3 * PITCH, 4 * PITCH, 5 * PITCH
-OUT0, OUT1, OUT2 = 6 * PITCH, 7 * PITCH, 8 * PITCH
-SHEET = 9 * PITCH
+OUT0, OUT1, OUT2, BESIDE = 6 * PITCH, 7 * PITCH, 8 * PITCH, 9 * PITCH
+SHEET = 10 * PITCH
 
 
 @inlined
@@ -122,7 +122,8 @@ def _classed(t: Array, up: Array, here: Array, down: Array, alpha: float, n_rows
         squares = up[SQUARE + c] + here[SQUARE + c] + down[SQUARE + c] - (x * x + y * y + z * z)
         energy = share_beside * max(share * squares, ZERO) + t[ENERGY + c]
         rest = t[VARIANCE + c] + other * beside + floor
-        ratio = EIGHTH * energy / (rest + own * beside)
+        t[BESIDE + c] = ONE / (rest + own * beside)
+        ratio = EIGHTH * energy * t[BESIDE + c]
         t[LEVEL + c] = ONE / (rest + own * max(here[S + c], ZERO))
         left = max(ZERO, ONE - NARROW * ratio)
         left *= left
@@ -173,6 +174,20 @@ def _guided(t: Array, here: Array, g: Array, w: Array, scale: Any) -> None:
 
 
 @inlined
+def _beyond(t: Array, g: Array, weight: Any, scale: Any) -> None:
+    """Add what a guide shows beyond its own noise."""
+    for c in range(WIDTH):
+        x, y, z = g[B_D0 + c], g[B_D1 + c], g[B_D2 + c]
+        noise_like = max(ZERO, ONE - scale * (x * x + y * y + z * z) * t[BESIDE + c])
+        noise_like *= noise_like
+        noise_like *= noise_like
+        share = weight * (ONE - noise_like)
+        t[OUT0 + c] += share * x
+        t[OUT1 + c] += share * y
+        t[OUT2 + c] += share * z
+
+
+@inlined
 def _gather(t: Array, top_left: Array, top_right: Array, low_left: Array, low_right: Array) -> None:
     """Add a row of details to its blocks' four children."""
     for c in range(len(top_left)):
@@ -208,6 +223,7 @@ def level_pass(
     t = np.zeros(SHEET, np.float32)
     both = np.zeros(WIDTH, np.float32)
     scale = np.float32(0.25 / width)
+    beyond = np.float32(0.25 / (3.0 * BEYOND * max(guide_noise[-1], 1e-6))) if n_guides else ZERO
     # A guide shows the coefficient itself: its square weighs as much as the whole neighbourhood.
     share_beside = np.float32((0.5 if n_guides else 1.0) / 3.0)
     for first in range(0, cols, WIDTH):
@@ -239,6 +255,8 @@ def level_pass(
             for k in range(n_guides):
                 start = SPATIAL + PER_GUIDE * k
                 _guided(t, here, seen[k], w[start : start + PER_GUIDE], np.float32(scale / (1.0 + guide_noise[k])))
+            if n_guides:
+                _beyond(t, seen[n_guides - 1], w[SPATIAL + PER_GUIDE * n_guides], beyond)
             top, low = out[r], out[r + h]
             _gather(t, top[first:last], top[first + h : last + h], low[first:last], low[first + h : last + h])
     return s_out, g_out, out

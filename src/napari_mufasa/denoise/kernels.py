@@ -30,13 +30,15 @@ SPATIAL = OWN_CANDIDATES + 2 * PREDICTIONS
 #: Candidates per level and guide: {prediction} x {everywhere, empty surrounding, nearly empty surrounding} and
 #: {thresholded difference from it} x {everywhere, empty surrounding}.
 PER_GUIDE = 5
+#: A further one of the last guide: what it shows beyond its own noise, of which so many variances are taken for noise.
+BEYOND = 8.0
 ZERO, ONE, EIGHTH = np.float32(0.0), np.float32(1.0), np.float32(0.125)
 NARROW, WIDE = np.float32(1.0 / CLASS_NARROW), np.float32(1.0 / CLASS_WIDE)
 
 
 def per_level(guides: int) -> int:
-    """Candidates of one level with so many guides: the spatial ones, then those of each guide."""
-    return SPATIAL + PER_GUIDE * guides
+    """Candidates of one level with so many guides: the spatial ones, those of each guide, and one more of the last."""
+    return SPATIAL + PER_GUIDE * guides + (1 if guides else 0)
 
 
 @inlined
