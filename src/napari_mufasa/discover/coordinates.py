@@ -19,6 +19,7 @@ from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
+AT_AN_END = 0.02  # log units or quarters of the range
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,12 @@ def is_next_to_none(effect: Effect, model: Model) -> bool:
     low, high, log = type(effect).plausible(model)[effect.strength]
     strength = abs(float(getattr(effect, effect.strength)) - effect.none_at(model))
     return strength < (low / 5 if log else (high - low) / 50)
+
+
+def is_at_an_end(effect: Effect, model: Model) -> bool:
+    """Has a shape of the effect come to an end of its range?"""
+    shapes = [c for c in Coordinate.of(effect, model) if c.name != effect.strength]
+    return any(abs(end) < AT_AN_END for shape in shapes for end in shape.room(effect))
 
 
 def changed(effect: Effect, values: dict[str, Any], **choices: str) -> Effect:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from napari_mufasa.discover import camera, joint, library
-from napari_mufasa.discover.coordinates import changed
+from napari_mufasa.discover.coordinates import changed, is_at_an_end
 from napari_mufasa.discover.rules import (
     CLEAR,
     DOUBTFUL,
@@ -343,9 +343,11 @@ class Steps(Standing):
         return known[kind]
 
     def _other_forms(self, kind: str, bare: State) -> list[Effect]:
-        """An effect in its other forms, with what is read off the measurement beside a state that lacks it."""
+        """An effect in its other forms, with what is read off the measurement beside a state that lacks it; in its own
+        again, too, where a shape of it has come to the end of its range, for it may have begun in the wrong valley."""
         effect = next(e for e in self.state.model.effects if e.kind == kind)
-        others = [e for e in each_form(effect) if e.chosen != effect.chosen]
+        astray = is_at_an_end(effect, self.state.model)
+        others = [e for e in each_form(effect) if astray or e.chosen != effect.chosen]
         seen = self.bench.read_off(kind, bare.model) if others else {}
         return [changed(e, seen) for e in others]
 

@@ -15,6 +15,7 @@ from napari_mufasa.spots.kernels import blurred
 NONE_YET = -1e300
 ROW = 1048  # numbers from one row of scratch to the next: known when compiled, so that compilers see the rows apart
 BEFORE = 2  # frames before those at once, for lags
+LINE_OUTLIER = 6.0  # standard deviations
 AT_ONCE = 4  # frames: sums are then read and written a quarter as often
 
 
@@ -166,7 +167,8 @@ def add_line(counts, before, mine, down):  # type: ignore[no-untyped-def]
 @vectorised
 def line_noise(sums, labels, count):  # type: ignore[no-untyped-def]
     """Variance of line means about frame and line means, each times its number of pixels, of the sums (part, frame,
-    line) of some parts; lines of fewer than four pixels do not count: NaN where no two others are left."""
+    line) of some parts; lines of fewer than four pixels do not count: NaN where no two others are left. A line counts
+    in no frame for more than `LINE_OUTLIER` standard deviations: one hit of a particle would outweigh all others."""
     n = sums.shape[1]
     lines = np.flatnonzero(count >= 4)
     if lines.size < 2 or n < 3:
@@ -178,13 +180,16 @@ def line_noise(sums, labels, count):  # type: ignore[no-untyped-def]
                 means[t, i] += sums[part, t, lines[i]]
         for i in range(lines.size):
             means[t, i] /= count[lines[i]]
-    steady, squares = np.zeros(lines.size), np.zeros(lines.size)
+    steady = np.zeros(lines.size)
     for t in range(n):
         steady += means[t] / n
     for t in range(n):
-        about = means[t] - steady
-        squares += (about - about.mean()) ** 2
-    return (squares / n * count[lines]).mean()
+        means[t] -= steady
+        means[t] = (means[t] - means[t].mean()) ** 2 * count[lines]
+    found = means.mean()
+    for _ in range(2):  # the first time outliers have still widened the spread by which they are told
+        found = np.minimum(means, LINE_OUTLIER**2 * found).mean()
+    return found
 
 
 @vectorised
