@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from napari_mufasa.discover import camera, joint, nuisance
-from napari_mufasa.discover.metric import soften
+from napari_mufasa.discover.metric import soften, stretch
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
 from napari_mufasa.discover.rules import CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
@@ -19,6 +19,7 @@ from napari_mufasa.model.model import Model
 from napari_mufasa.one_thread import one_thread
 
 CURVE_SEED = 7_000
+DETECTABLE = np.geomspace(0.01, max(SCALES), 100)  # of a setting: strengths that are asked for, 5 % apart
 NOT_HERE = "not measurable here"  # where an observable is that the measurement or many simulations do not show
 
 
@@ -54,8 +55,8 @@ def compile_report(inquiry: Standing, verdict: Verdict | None = None) -> Report:
         inclusion={kind: round(sure, 4) for kind, (sure, _) in names.items()},
         alternatives=[[kind, *others] for kind, (_, others) in names.items() if others],
         explained=_explained(inquiry),
-        credibility=_credibility(stand),
-        credibility_before=_credibility(inquiry.first),
+        credibility=credibility(stand),
+        credibility_before=credibility(inquiry.first),
         remaining=_remaining(table),
         simulations={"spent": inquiry.bench.done, "budget": inquiry.budget},
         cut_short=cut_short,
@@ -110,21 +111,23 @@ def sure_of_names(stand: Stand) -> dict[str, tuple[float, tuple[str, ...]]]:
     return found
 
 
-def _excess(stand: Stand) -> float:
-    """The misfit beyond what chance leaves, in units of what can just be told from chance."""
-    law = stand.null.misfit.law
-    usual = float(law.median())
-    return max(stand.misfit - usual, 0.0) / max(stand.null.misfit.at(MISFIT_ALARM) - usual, 1e-9)
+def _excess(stand: Stand, misfit: float) -> float:
+    """A misfit beyond what chance leaves, in units of what can just be told from chance."""
+    usual = float(stand.null.misfit.law.median())
+    return max(misfit - usual, 0.0) / max(stand.null.misfit.at(MISFIT_ALARM) - usual, 1e-9)
 
 
-def _credibility(stand: Stand) -> float:
-    """How many times fewer molecules or frames before model and movie could not be told apart: what is off grows with
-    their number, what chance does not."""
-    return max(1.0, _excess(stand))
+def credibility(stand: Stand) -> float:
+    """How many times fewer molecules or frames before model and movie could not be told apart: the square of what is
+    off, in standard deviations, grows with their number, what chance leaves does not. Near that all is small, so that
+    residuals count in full, however large they are now."""
+    there = stand.state.adjusted(stand.x)
+    in_full = stand.state.whiten[0] @ stretch(there.soft)
+    return max(1.0, _excess(stand, there.chi2 + float(in_full @ in_full - there.residual @ there.residual)))
 
 
 def _explained(inquiry: Standing) -> float:
-    before, after = _excess(inquiry.first), _excess(inquiry.stand)
+    before, after = (_excess(stand, stand.misfit) for stand in (inquiry.first, inquiry.stand))
     return float(np.clip(1 - after / before, 0.0, 1.0)) if before > 0 else 0.0
 
 
@@ -151,7 +154,7 @@ def detectable(inquiry: Standing) -> dict[str, float | None]:
     for kind, rays in inquiry.stand.library.rays.items():
         distances, threshold = [], inquiry.stand.needed(kind)
         for ray in rays:
-            for scale in sorted({*SCALES, 0.03, 0.06}):
+            for scale in DETECTABLE:
                 step = np.pad(w @ soften(ray.shift[0] * scale / spread), (0, len(state.prior)))
                 power = float(((step - q @ (q.T @ step)) ** 2).sum())
                 if power - 0.84 * 2 * np.sqrt(power) > threshold:

@@ -49,8 +49,9 @@ def background(
         "variance, second half / first",
         "background pixels",
     )
-    _courses(table, course, spots, part)
-    _noise_course(table, course, pixels.steps[list(part.labels)].sum(axis=0))
+    steps = pixels.steps[list(part.labels)].sum(axis=0)
+    _courses(table, course, steps, spots, part)
+    _noise_course(table, course, steps)
     _map(table, seen.tiles, mean.shape)
     _transfer(table, mean, variance, at, (label == 0) & part.holds(tiles))
     spread = _over(pixels.variance, at) or np.nan  # a small field may have no background pixel
@@ -106,7 +107,7 @@ def sensor(
         table.log(
             f"{prefix}{name}_pattern",
             _line_pattern(core, mask, axis) / (spread / n),
-            f"fixed {name} pattern / noise",
+            f"fixed pattern of {name} means / noise",
             where,
         )
     rows = line_noise(pixels.row_sum, np.array(part.labels), mask.sum(axis=1))
@@ -167,7 +168,7 @@ def dark(
     sensor(table, pixels, mask, at, part, "dark_")
 
 
-def _courses(table: Table, course: Array, spots: Spots, part: Part) -> None:
+def _courses(table: Table, course: Array, steps: Array, spots: Spots, part: Part) -> None:
     n = len(course)
     bins = np.minimum(np.arange(n) * BINS // n, BINS - 1)
     level = np.array([course[bins == b].mean() for b in range(BINS)])
@@ -215,10 +216,9 @@ def _courses(table: Table, course: Array, spots: Spots, part: Part) -> None:
     )
     together = (fast * light_fast).mean() / max(fast.std() * light_fast.std(), 1e-12)
     table.add("common_mode_together", together, "do background and spots flicker together", "corr.", where)
-    changes = np.abs(np.diff(course))
     table.add(
         "repeated_frames",
-        float((changes < 1e-6 * scale).mean()) if n > 1 else 0.0,
+        float((steps[1:] == 0).mean()) if n > 1 and steps.any() else 0.0,
         "frames equal to the last",
         "",
         where,

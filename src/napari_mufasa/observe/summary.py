@@ -82,7 +82,7 @@ def molecules(
     _level_positions(table, states, spots.positions_px[keep], shape_px, background.around[keep])
     trace_kinetics(table, light, states)
     _level_course(table, light, states, background.course)
-    _shape_and_motion(table, spots, keep)
+    _shape_and_motion(table, spots, keep, spots.of(part.molecules).common_path())
 
 
 def _mean(values: Array, default: float = 0.0) -> float:
@@ -322,7 +322,7 @@ def _gap_lengths(on: NDArray[np.bool_]) -> NDArray[np.int64]:
     return gaps
 
 
-def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> None:
+def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_], path: Array) -> None:
     blocks = range(spots.shape.shape[1])
     early, late = (mean_shape(spots, keep, part) for part in np.array_split(blocks, 2))
     where = "isolated spots"
@@ -338,7 +338,6 @@ def _shape_and_motion(table: Table, spots: Spots, keep: NDArray[np.bool_]) -> No
     table.add("spot_elongation_early", early[0] - early[1], "PSF variance along y minus x, first half", "px²", where)
     table.add("spot_elongation_late", late[0] - late[1], "PSF variance along y minus x, second half", "px²", where)
     table.add("spot_elongation_oblique", (early[2] + late[2]) / 2, "oblique elongation", "px²", where)
-    path = spots.path_px
     # In pixels, not in powers: the noise of a path is the same whether the stage stands or drifts.
     table.add("common_shift_end", np.hypot(*path[-1]), "common displacement at the end", "px", "all spots")
     table.add("common_shift_extent", np.hypot(*path.T).max(), "largest common displacement", "px", "all spots")

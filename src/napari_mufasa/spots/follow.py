@@ -67,6 +67,14 @@ class Spots:
         found: Array = self.path_px[block_of] + np.clip(beside, -MOST_BESIDE, MOST_BESIDE)
         return found
 
+    def common_path(self) -> Array:
+        """Where all spots are in every block (block, 2), px, zero at the first: by their own light, so that of some
+        spots it is theirs."""
+        motion, light = self.common_motion(), self._together(self.inside)
+        starts = np.flatnonzero(np.diff(block_of_frame(len(motion), len(self.path_px)), prepend=-1))
+        path = np.add.reduceat(motion * light[:, None], starts) / np.add.reduceat(light, starts)[:, None]
+        return np.asarray(path - path[0])
+
     def common_widening(self, these: NDArray[Any]) -> Array:
         """Change of width² that these spots have in common in every frame (frame,), px²."""
         found: Array = self.frame_widening[these].sum(axis=0) / self._together(these)
