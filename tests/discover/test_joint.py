@@ -13,10 +13,9 @@ from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import build
 from napari_mufasa.discover.nuisance import nuisances
 from napari_mufasa.discover.null import Null
-from napari_mufasa.discover.rules import ALARM
+from napari_mufasa.discover.rules import ALARM, SCALES
 from napari_mufasa.discover.stand import Stand, Worth
 from napari_mufasa.discover.start import _design, begun, started
-from napari_mufasa.discover.state import SCALES
 from napari_mufasa.discover.uncertainty import coordinates_sd
 from napari_mufasa.effects import effect_class
 

@@ -17,7 +17,7 @@ from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.reporting import credibility, detectable, sure_of_names
-from napari_mufasa.discover.rules import ALARM, FORM_ERROR, MISFIT_ALARM
+from napari_mufasa.discover.rules import ALARM, FORM_ERROR, MISFIT_ALARM, VALUE_REACH
 from napari_mufasa.discover.stand import Stand, Worth
 from napari_mufasa.discover.state import Ray, State, scaled, two_sided
 from napari_mufasa.effects import catalogue, effect_class
@@ -89,7 +89,7 @@ def test_no_free_value_moves_farther_than_the_model_can_follow():
     values = nuisance.nuisances(model)
     free = [n.path for n in values] + ["image_lag.fraction", "image_lag.kept"]
     ends = room(model, values, free)
-    reach = [0.0 if n.most == 1.0 else nuisance.REACH * n.prior for n in values]  # one is at its largest already
+    reach = [0.0 if n.most == 1.0 else VALUE_REACH * n.prior for n in values]  # one is at its largest already
     np.testing.assert_allclose(ends[1, : len(values)], reach)
     for end in ends:
         there = model_at(model, values, free, end).effects[0]
@@ -106,7 +106,7 @@ def test_nuisance_values_keep_their_distance_from_where_they_started_however_oft
     model = nm.preset("FF").with_values({"sample.n_molecules": 60, "acquisition.shape_px": (96, 96)})
     values = nuisance.nuisances(model)
     free = [n.path for n in values]
-    far = towards * np.array([nuisance.REACH * n.prior for n in values])
+    far = towards * np.array([VALUE_REACH * n.prior for n in values])
     once = model_at(model, values, free, far)
     again = model_at(once, values, free, far)
     assert once.camera.read_noise_e == pytest.approx(model.camera.read_noise_e * np.exp(towards * 0.2))
@@ -134,7 +134,7 @@ def test_what_is_believed_of_a_value_stays_in_reach_wherever_the_first_match_has
     free = [n.path for n in values]
     baseline = next(n for n in values if n.path == "camera.baseline_adu")
     ends = room(matched, values, free)[:, free.index("camera.baseline_adu")]
-    reach = nuisance.REACH * baseline.prior
+    reach = VALUE_REACH * baseline.prior
     np.testing.assert_allclose(ends, [-500.0 - reach, reach])
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from napari_mufasa.discover import library, nuisance
 from napari_mufasa.discover.library import Library
 from napari_mufasa.discover.null import Null
-from napari_mufasa.discover.rules import CAMERA_OFF, NEAR
+from napari_mufasa.discover.rules import CAMERA_OFF, NEAR, OFF_DATA_SHEET
 from napari_mufasa.discover.start import started
 from napari_mufasa.discover.state import Array, State
 from napari_mufasa.effects import effect_class
@@ -21,7 +21,6 @@ from napari_mufasa.model.model import Model
 from napari_mufasa.observe import photoelectrons_per_adu
 
 GAIN, READ_NOISE = "camera.electrons_per_adu", "camera.read_noise_e"
-OFF_DATA_SHEET = 0.12  # prior width of both where they may be farther off than data sheets err
 REGISTER = "em_excess_noise"  # changes variance as a gain does, but not how skewed counts are
 
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover import nuisance
 from napari_mufasa.discover.nuisance import Nuisance
+from napari_mufasa.discover.rules import AT_AN_END
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
-AT_AN_END = 0.02  # log units or quarters of the range
 
 
 @dataclass(frozen=True)
@@ -130,9 +130,9 @@ def hard_limits(effect: Effect, name: str) -> tuple[float, float]:
 
 
 def room(model: Model, values: Sequence[Nuisance], free: Sequence[str]) -> Array:
-    """How far the free values may move (2, value), down and up: nuisance values by `REACH` of their priors from where
-    they started (a data sheet is not wrong by ten standard deviations, whatever that would explain, and whatever is
-    added), parameters within their range."""
+    """How far the free values may move (2, value), down and up: nuisance values by `VALUE_REACH` of their priors from
+    where they started (a data sheet is not wrong by ten standard deviations, whatever that would explain, and whatever
+    is added), parameters within their range."""
     effects = {effect.kind: effect for effect in model.effects}
     ends = [value.room(model) for value in values]
     for path in free[len(values) :]:

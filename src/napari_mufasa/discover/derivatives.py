@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.rules import SLOPE_SEEDS
+from napari_mufasa.discover.rules import PARAMETER_STEP, SLOPE_SEEDS
 from napari_mufasa.model.model import Model
 
 Array = NDArray[np.float64]
 Rows = Callable[[Sequence[tuple[Model, int]]], Array]
-PARAMETER_STEP = 0.2  # of effects in the model, in log units or quarters of the range
 
 
 def free_steps(model: Model, values: Sequence[Nuisance], free: Sequence[str]) -> list[float]:

@@ -23,6 +23,7 @@ from napari_mufasa.discover.rules import (
     BASE_SIMULATIONS,
     CHECK_SIMULATIONS,
     NEARLY_ALL,
+    PARAMETER_PRIOR,
     RAYS,
     RENEWED,
     SLOPE_SEEDS,
@@ -35,7 +36,6 @@ from napari_mufasa.observe import PARTS
 
 Array = NDArray[np.float64]
 CHECK_SEED = 5_000
-PARAMETER_PRIOR = 0.5  # of effects in the model, in log units or quarters of the range
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from napari_mufasa.discover.rules import SOFT
 from napari_mufasa.one_thread import one_thread
 
 Array = NDArray[np.float64]
-SOFT = 8.0
 # The least spread an observable is credited with: counts that are usually zero have none in a few simulations.
 FLOORS = {
     "first_seen": 0.01, "survival": 0.03, "ensemble": 0.004, "gap": 0.08, "last_level": 0.05, "steps": 0.012,

@@ -30,7 +30,7 @@ from napari_mufasa.discover.read_off import (
     told_for,
 )
 from napari_mufasa.discover.result import Curve
-from napari_mufasa.discover.rules import LINEAR
+from napari_mufasa.discover.rules import LINEAR, MATCHING_ROUNDS
 from napari_mufasa.discover.seen_courses import dark_course, stands_still
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.extent import Extent
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 
 CAMERA_STAGE = "camera"
 MATCHING_SEED = 10_000
-MATCHING_ROUNDS = 4
 BEYOND_SEED, BEYOND = 20_000, 3  # simulations that tell what a model shows already
 FEWEST_MOLECULES = 3
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.stats import poisson
 
+from napari_mufasa.discover.rules import VALUE_REACH
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import photoelectrons_per_adu
 
-REACH = 2.5  # how many widths of its prior a value may move
 PAIRS_MISSED = 4.0  # pairs that a random layout would show nearer than the nearest: none of them is a chance of e⁻⁴
 EXCEPTIONS = 0.15  # of these pairs may be nearer all the same; at random a finder misses half where spots merge
 
@@ -46,9 +46,9 @@ class Nuisance:
         return {self.path: float(new)}
 
     def room(self, model: Model) -> tuple[float, float]:
-        """How far the value may move down and up, to stay within `REACH` of where it started and of what is believed,
-        and not below zero."""
-        value, reach = float(_get(model, self.path)), REACH * self.prior
+        """How far the value may move down and up, to stay within `VALUE_REACH` of where it started and of what is
+        believed, and not below zero."""
+        value, reach = float(_get(model, self.path)), VALUE_REACH * self.prior
         low, high = sorted((self.origin, self.origin if self.believed is None else self.believed))
         if self.log:
             return -reach - float(np.log(max(value, 1e-9) / low)), reach - float(np.log(max(value, 1e-9) / high))

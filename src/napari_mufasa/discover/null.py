@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from napari_mufasa.discover.rules import ALARM
-
-FREAK = 3.0  # interquartile ranges above the upper quartile: a Gumbel law has 0.3 % beyond
+from napari_mufasa.discover.rules import ALARM, FREAK
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,9 @@ import pandas as pd
 from napari_mufasa.discover import camera, joint, nuisance
 from napari_mufasa.discover.metric import soften, stretch
 from napari_mufasa.discover.result import ERROR_UNIT, Report, Verdict
-from napari_mufasa.discover.rules import CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, STILL_OFF, UNSURE
+from napari_mufasa.discover.rules import CURVES, EXPLAINED, FAR, MISFIT_ALARM, OFF, SCALES, STILL_OFF, UNSURE
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.standing import Standing
-from napari_mufasa.discover.state import SCALES
 from napari_mufasa.effects import effect_class
 from napari_mufasa.model.model import Model
 from napari_mufasa.one_thread import one_thread

@@ -1,8 +1,9 @@
 """Every number that a diagnosis decides by, in one place.
 
-Three things are given: how often chance may be taken for an effect (the false-alarm budget), how much of a measurement
-is worth explaining, and how many simulations may be spent. Everything else a diagnosis goes by (spreads, correlations,
-floors, the laws of chance) comes from its own simulations.
+Given are how often chance may be taken for an effect (the false-alarm budget), how much of a measurement is worth
+explaining, how far a step reaches, and how many simulations may be spent. Everything else a diagnosis goes by (spreads,
+correlations, floors, the laws of chance) comes from its own simulations. (How an observable is measured, and how a map
+or a course is read off a movie, is said where that is done.)
 """
 
 from __future__ import annotations
@@ -51,6 +52,25 @@ PROMISED = 2.0  # −2 log likelihood: a step downhill of which the slopes promi
 LINEAR = 0.4  # log units or quarters of the range: as far about as a model is linear in a parameter
 CAMERA_OFF = 0.1  # log units: a gain or read noise so far off is set right before anything else is looked at
 DEEPER = 0.9  # of the misfit: a place further downhill is worth derivatives, and the simulations of its neighbourhood
+
+# How far steps reach ------------------------------------------------------------------------------------------
+# Coordinates of values and parameters are log units, or quarters of the plausible range.
+SOFT = 8.0  # standard deviations up to which residuals count in full; of larger ones their logarithm does
+FREAK = 3.0  # interquartile ranges above the upper quartile: a Gumbel law has 0.3 % beyond
+OFF_DATA_SHEET = 0.12  # prior width of gain and read noise where they may be farther off than data sheets err
+VALUE_REACH = 2.5  # how many widths of its prior a value of the model may move
+MATCHING_ROUNDS = 4  # of the model's values to the movie, before anything is asked
+SCALES = (0.12, 0.25, 0.45, 0.7, 1.0, 1.4)  # of a simulated setting: strengths at which a lead is looked at
+TAKEN_REACH = 1.5  # how far the strength of a lead that is taken up may move, in its own size
+SHAPES_TRIED = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, of each shape parameter where an effect is started …
+LADDER = 2.2  # … factor between the strengths tried first …
+AROUND_WIDTH = 0.45  # … and how far simulations around such a start reach
+START_PRIOR = 2.5  # prior width of its parameters there, in spreads of these simulations
+PRIOR_SIMULATIONS = 6.0  # that the base model's spread counts as, beside those around a start
+PARAMETER_STEP = 0.2  # of an effect in the model, for its derivative …
+PARAMETER_PRIOR = 0.5  # … its prior width …
+ASKED_PRIOR = 3.0  # … and the one with which its uncertainty is asked for
+AT_AN_END = 0.02  # so near an end of its range a shape has come to it
 
 # The budget of simulations ----------------------------------------------------------------------------------
 BUDGET = 5_000  # simulations of a movie of ordinary size …

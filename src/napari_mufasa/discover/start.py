@@ -15,17 +15,22 @@ from numpy.typing import NDArray
 from napari_mufasa.discover.coordinates import Coordinate, changed
 from napari_mufasa.discover.derivatives import trusted
 from napari_mufasa.discover.library import Library, read_by_halves
-from napari_mufasa.discover.rules import AROUND, FORM_WORTH, PLAIN, UNREAD
+from napari_mufasa.discover.rules import (
+    AROUND,
+    AROUND_WIDTH,
+    FORM_WORTH,
+    LADDER,
+    PLAIN,
+    PRIOR_SIMULATIONS,
+    SHAPES_TRIED,
+    START_PRIOR,
+    UNREAD,
+)
 from napari_mufasa.discover.state import Lead, Ray, State, scaled
 from napari_mufasa.effects import Effect
 
 Array = NDArray[np.float64]
-LADDER = 2.2  # factor between the strengths tried first
-SHAPES = (1 / 6, 1 / 2, 5 / 6)  # of the plausible range, tried for each shape parameter
-WIDTH = 0.45  # how far simulations around a start reach (log units or quarters of the range)
-LOOSE = 2.5  # prior width of an effect's parameters in spreads of the simulations around it
 HADAMARD = (1, 2, 4, 7, 3, 5, 6)  # its columns, those first that are each one's own bit
-PRIOR_SIMULATIONS = 6.0  # the base model's spread counts as so many simulations
 
 
 def started(library: Library, state: State, leads: Sequence[Lead], x: Array) -> State:
@@ -65,7 +70,7 @@ def _best_shapes(library: Library, state: State, starts: Sequence[Effect], known
     for trial in starts:
         for name in (c.name for c in Coordinate.of(trial, state.model) if c.name not in known):
             low, high, log = plausible[name]
-            for u in SHAPES:
+            for u in SHAPES_TRIED:
                 value = low * (high / low) ** u if log else low + (high - low) * u
                 trials.append(changed(trial, {name: value}))
     if len(trials) == 1:
@@ -109,7 +114,7 @@ def _linearised(library: Library, state: State, effect: Effect, known: set[str])
     coordinates = [c for c in Coordinate.of(effect, state.model) if c.name not in known]
     free = (*state.free, *(f"{effect.kind}.{c.name}" for c in coordinates))
     local, n = replace(state, model=library.beside(state, effect), free=free), len(coordinates)
-    offsets = _design(AROUND, n, WIDTH, np.random.default_rng([library.bench.seed, AROUND]))
+    offsets = _design(AROUND, n, AROUND_WIDTH, np.random.default_rng([library.bench.seed, AROUND]))
     settings = [{c.name: c.value_at(effect, b) for c, b in zip(coordinates, by, strict=True)} for by in offsets]
     jobs = [(local.model.with_effects(changed(effect, setting)), k) for k, setting in enumerate(settings)]
     shift = library.simulated(jobs) - library.rows[:AROUND]
@@ -124,7 +129,7 @@ def _linearised(library: Library, state: State, effect: Effect, known: set[str])
         mean=library.base.mean + centre,
         spread=np.sqrt(library.base.spread**2 + (wild**2).sum(axis=0) / (AROUND + PRIOR_SIMULATIONS)),
         slopes=np.concatenate([state.slopes, slopes], axis=2),
-        prior=np.concatenate([state.prior, np.full(n, LOOSE * WIDTH)]),
+        prior=np.concatenate([state.prior, np.full(n, START_PRIOR * AROUND_WIDTH)]),
         unread=unread,
     )
 

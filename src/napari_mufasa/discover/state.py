@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.discover.coordinates import changed, model_at, room
-from napari_mufasa.discover.metric import SOFT, Adjusted, adjust, at_the_end, soften, stretch
+from napari_mufasa.discover.metric import Adjusted, adjust, at_the_end, soften, stretch
 from napari_mufasa.discover.nuisance import Nuisance
-from napari_mufasa.discover.rules import AT_FLOOR, FAR_OFF, FORM_ERROR
+from napari_mufasa.discover.rules import AT_FLOOR, FAR_OFF, FORM_ERROR, SCALES, SOFT, TAKEN_REACH
 from napari_mufasa.effects import Effect
 from napari_mufasa.model.model import Model
 from napari_mufasa.observe import PARTS
 from napari_mufasa.one_thread import one_thread
 
 Array = NDArray[np.float64]
-TAKEN = 1.5  # how far the strength of a lead that is taken up may move, in its own size
 HALVES = ((PARTS.index("white"), PARTS.index("black")), (PARTS.index("black"), PARTS.index("white")))  # fit, held out
-SCALES = (0.12, 0.25, 0.45, 0.7, 1.0, 1.4)
 
 
 @dataclass(frozen=True)
@@ -198,7 +196,7 @@ class State:
         for lead in taken:
             mean = mean + lead.shift[0]
             slopes = np.column_stack([slopes, lead.shift[0]])
-            prior, room = np.append(prior, TAKEN / 2), np.column_stack([room, [-TAKEN, TAKEN]])
+            prior, room = np.append(prior, TAKEN_REACH / 2), np.column_stack([room, [-TAKEN_REACH, TAKEN_REACH]])
         start = adjust(x[0], mean, spread, slopes, prior, room, w)
         # Locally linear: directions of free values are projected out of residual and rays alike.
         local = 1 / np.cosh(np.clip(start.soft / SOFT, -20, 20))

@@ -15,12 +15,11 @@ from scipy.linalg import hadamard
 
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import Library
-from napari_mufasa.discover.rules import FINITE, FOLLOWED, LEAST_FOLLOWED, LINEAR
+from napari_mufasa.discover.rules import ASKED_PRIOR, FINITE, FOLLOWED, LEAST_FOLLOWED, LINEAR
 from napari_mufasa.discover.state import State
 from napari_mufasa.one_thread import one_thread
 
 Array = NDArray[np.float64]
-WIDE = 3.0  # prior width of effects' parameters where their uncertainty is asked for
 
 
 def parameters_sd(library: Library, birge: float) -> dict[str, dict[str, float]]:
@@ -80,4 +79,4 @@ def _followed(library: Library, loose: State, fits: Array, widths: Array) -> Arr
 def _loose(state: State) -> State:
     """The state with wide priors of the parameters of effects."""
     n = len(state.values)
-    return replace(state, prior=np.concatenate([state.prior[:n], np.full(len(state.free) - n, WIDE)]))
+    return replace(state, prior=np.concatenate([state.prior[:n], np.full(len(state.free) - n, ASKED_PRIOR)]))
