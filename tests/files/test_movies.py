@@ -131,6 +131,76 @@ def test_truncated_files_are_told(tmp_path, share, ome):
     assert "bad" in complaint(files.load, path)
 
 
+FRAMES = RNG.poisson(300, (40, 48, 48)).astype(np.uint16)
+
+
+def write_pages(path, **options):
+    """A TIFF that says nothing of how many pages it has."""
+    with tifffile.TiffWriter(path) as file:
+        for frame in FRAMES:
+            file.write(frame, photometric="minisblack", metadata=None, contiguous=False, **options)
+
+
+PACKED = {
+    "shaped.tif": lambda path: tifffile.imwrite(path, FRAMES, photometric="minisblack", compression="zlib"),
+    "imagej.tif": lambda path: tifffile.imwrite(path, FRAMES, imagej=True, compression="zlib"),
+    "pages.tif": lambda path: write_pages(path, compression="zlib"),
+    "big.tif": lambda path: tifffile.imwrite(path, FRAMES, bigtiff=True, compression="zlib"),
+    "m.ome.tif": lambda path: tifffile.imwrite(path, FRAMES, compression="zlib", metadata={"axes": "TYX"}),
+    "unpacked.tif": write_pages,
+}
+
+
+@pytest.mark.parametrize("name", list(PACKED))
+@pytest.mark.parametrize("filling", [0, 255, None])
+def test_a_movie_that_is_damaged_in_the_middle_is_told_wherever_it_is(tmp_path, name, filling):
+    path = tmp_path / name
+    PACKED[name](path)
+    np.testing.assert_array_equal(files.load(path), FRAMES)
+    whole = path.read_bytes()
+    for at in np.linspace(0.1, 0.97, 12):
+        start, damaged = int(at * len(whole)), bytearray(whole)
+        n = min(6000, len(whole) - start)  # more than a page and its head, wherever they begin
+        damaged[start : start + n] = RNG.bytes(n) if filling is None else bytes([filling]) * n
+        path.write_bytes(damaged)
+        check_line(complaint(files.load, path), name)
+
+
+def test_a_movie_with_a_broken_chain_of_pages_says_what_was_announced(tmp_path):
+    path = tmp_path / "m.tif"
+    PACKED["shaped.tif"](path)
+    with tifffile.TiffFile(path) as file:
+        head = file.pages[21].offset
+    with path.open("r+b") as file:
+        file.seek(head)
+        file.write(bytes(200))
+    told = complaint(files.read_movie, path)
+    check_line(told, "announces 40 frames, its 22 pages hold fewer: damaged; copy it anew or export it anew")
+
+
+def test_a_large_stack_of_imagej_that_is_cut_short_is_told(tmp_path):
+    path = tmp_path / "m.tif"
+    tifffile.imwrite(path, FRAMES, imagej=True, metadata={"axes": "TYX"})
+    with tifffile.TiffFile(path) as file:  # above 4 GB ImageJ writes one head for all frames
+        behind = file.pages.first.offset + 2 + 12 * len(file.pages.first.tags)
+    with path.open("r+b") as file:
+        file.seek(behind)
+        file.write(bytes(4))
+    np.testing.assert_array_equal(files.load(path), FRAMES)
+    path.write_bytes(path.read_bytes()[:120_000])
+    check_line(complaint(files.load, path), "behind the 1 frames that can be read: damaged; copy it anew")
+
+
+def test_a_stack_of_imagej_that_another_program_shortened_is_read(tmp_path):
+    path = tmp_path / "m.tif"
+    with tifffile.TiffWriter(path) as file:
+        for i, frame in enumerate(FRAMES):
+            told = "ImageJ=1.53t\nimages=100\nframes=100\n" if i == 0 else None
+            file.write(frame, photometric="minisblack", metadata=None, contiguous=False, description=told)
+    with pytest.warns(UserWarning, match="announces 100 frames, 40 are there, which are read"):
+        np.testing.assert_array_equal(files.load(path), FRAMES)
+
+
 def test_damaged_zarr_is_told(tmp_path):
     (tmp_path / "empty.zarr").mkdir()
     assert "empty.zarr" in complaint(files.read_movie, tmp_path / "empty.zarr")

@@ -19,7 +19,7 @@ from napari_mufasa import checks
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files import formats, growing
 from napari_mufasa.files.instrument import Instrument, read_instrument
-from napari_mufasa.files.opening import Guarded, check_zarr, complaints, frames_there, no_other_files
+from napari_mufasa.files.opening import Guarded, check_whole, check_zarr, complaints, frames_there, no_other_files
 from napari_mufasa.files.whole import PathLike, replacing
 from napari_mufasa.provenance import Describes, made_by
 
@@ -256,6 +256,7 @@ def _open_tiff(path: Path) -> tuple[Any, dict[str, Any]]:
             size, claimed = checks.size(path.stat().st_size), checks.size(series.nbytes)
             raise MufasaError(f"{path} claims {claimed} of pixels in {size} of file: damaged; copy or export it anew")
         frames = frames_there(file, path)
+        check_whole(file, path)
         last = file.pages[n_pages - 1]
         if last.dataoffsets and last.dataoffsets[-1] + last.databytecounts[-1] > path.stat().st_size:
             raise MufasaError(f"{path} is truncated: copy it anew")

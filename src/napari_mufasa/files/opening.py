@@ -163,5 +163,59 @@ def frames_there(file: Any, path: Path) -> int | None:
     )
 
 
+def check_whole(file: Any, path: Path) -> None:
+    """Raise for a TIFF of which fewer frames are read than it announces or holds: its chain of pages is broken.
+
+    A stack of ImageJ that another program has shortened is whole, though it announces what it was: it is read with a
+    warning."""
+    series = file.series[0]
+    if file.is_micromanager or series.kind == "ome":  # `frames_there` knows
+        return
+    anew = "damaged; copy it anew or export it anew"
+    page = file.pages.first
+    there = int(np.prod(series.shape)) // max(int(np.prod(page.shape)), 1)
+    by_imagej = _imagej_planes(file)
+    announced = max(_shaped_planes(file), _ome_planes(file.ome_metadata or ""))
+    if there < announced:
+        raise MufasaError(f"{path} announces {announced} frames, its {len(file.pages)} pages hold fewer: {anew}")
+    if series.kind not in ("generic", "uniform"):  # of all others the description says what the file holds
+        return
+    if series.kind == "generic":
+        for i, one in enumerate(file.pages):
+            if not one.shape:
+                raise MufasaError(f"{path}: page {i + 1} of {len(file.pages)} holds no image: {anew}")
+    behind = path.stat().st_size - _end_of_pages(file)
+    if behind >= min(sum(one.databytecounts) for one in series if one is not None):
+        raise MufasaError(f"{path} holds {checks.size(behind)} behind the {there} frames that can be read: {anew}")
+    if there < by_imagej:
+        warnings.warn(f"{path} announces {by_imagej} frames, {there} are there, which are read", stacklevel=4)
+
+
+def _shaped_planes(file: Any) -> int:
+    told = file.shaped_metadata or ({},)
+    return int(np.prod(told[0].get("shape", 0))) // max(int(np.prod(file.pages.first.shape)), 1)
+
+
+def _ome_planes(ome_xml: str) -> int:
+    pixels = re.search(r"<(?:\w+:)?Pixels\b[^>]*>", ome_xml)
+    return int(np.prod([int(n) for n in re.findall(r"\bSize[TZC]=[\"'](\d+)", pixels[0])])) if pixels else 0
+
+
+def _imagej_planes(file: Any) -> int:
+    told = file.imagej_metadata or {}
+    return int(np.prod([int(told.get(axis, 1)) for axis in ("frames", "slices", "channels")]))
+
+
+def _end_of_pages(file: Any) -> int:
+    """The byte behind the pages of a TIFF, their numbers and their descriptions."""
+    n = len(file.pages)
+    last = file.pages.get(n - 1, aspage=True)
+    ends = [file.pages.next_page_offset + file.tiff.offsetsize]
+    ends += [tag.valueoffset + tag.valuebytecount for page in (file.pages.first, last) for tag in page.tags]
+    for page in (page for series in file.series for page in series if page is not None):
+        ends += [start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=True)]
+    return max(ends)
+
+
 def _file_names(ome_xml: str) -> list[str]:
     return [html.unescape(name) for name in re.findall(r"FileName\s*=\s*[\"']([^\"']*)[\"']", ome_xml)]
