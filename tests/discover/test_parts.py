@@ -10,7 +10,7 @@ from tests.spec_example import MODEL
 
 import napari_mufasa as nm
 from napari_mufasa.discover import metric, nuisance
-from napari_mufasa.discover.coordinates import changed, model_at, room
+from napari_mufasa.discover.coordinates import changed, is_at_an_end, model_at, room
 from napari_mufasa.discover.derivatives import free_steps
 from napari_mufasa.discover.library import as_seen, ray_settings, read_by_halves
 from napari_mufasa.discover.measurement import FRAMES, VOXELS, prepare
@@ -457,6 +457,14 @@ def test_changed_effects_keep_their_limits():
     assert changed(drift, {}, form="saturating").form == "saturating"
     excess = effect_class("em_excess_noise")(excess_noise_factor=1.4)
     assert scaled(excess, 0.5, 2.0).excess_noise_factor == pytest.approx(1.7)  # half the way from 2
+
+
+def test_a_shape_at_an_end_of_its_range_is_told_and_a_strength_there_is_none():
+    rays, model = effect_class("cosmic_rays"), nm.preset("FF")
+    low, high, _ = rays.plausible(model)["electrons"]
+    assert is_at_an_end(rays(electrons=high, form="tracks"), model) and is_at_an_end(rays(electrons=low), model)
+    assert not is_at_an_end(rays(electrons=0.9 * high), model)
+    assert not is_at_an_end(rays(hits_per_frame=4 * rays.plausible(model)["hits_per_frame"][1]), model)
 
 
 def test_nuisance_values_are_those_the_model_has():
