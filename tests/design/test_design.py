@@ -89,6 +89,47 @@ def test_signal_and_noise_of_the_whole_spot_are_those_of_its_trace(name, power):
     assert found.all_traces[0].std() == pytest.approx(told.detected_e_per_frame / told.snr_spot, rel=0.06)
 
 
+def with_a_bent_response(power: float) -> Model:
+    """The preset Blinking, whose CMOS answers to more light with less and less, without anything that ends the light,
+    and with so fine counts that rounding is noise."""
+    values = {"fluorophore.cycles_before_bleaching": None, "fluorophore.isc_ratio": None, "acquisition.n_frames": 4000,
+              "acquisition.shape_px": (21, 21), "camera.electrons_per_adu": 2.0, "camera.read_noise_e": 8.0,
+              "excitation.power_density_w_per_cm2": power}  # fmt: skip
+    return preset("Blinking").with_values(values)
+
+
+@pytest.mark.parametrize("power", [0.0, 10.0, 60.0, 100.0, 300.0, 600.0])
+def test_noise_of_a_bent_response_is_that_of_each_pixels_own_light(power):
+    model, place = with_a_bent_response(power), np.array([[10.0, 10.0]])
+    told = predict(model)
+    movie = simulate(model, positions_px=place, seed=4).movie
+    electrons = camera.photoelectrons(movie, model.camera).astype(float)
+    trace = extract_traces(
+        movie, model.camera, positions_px=place, psf_sigma_px=model.sigma_px, subtract_background=False
+    ).all_traces[0]
+    if not power:
+        # Of an empty place the noise is what a molecule stands out of; 1.1 % is the error of the sd of 4000 frames.
+        lit = predict(with_a_bent_response(300.0))
+        assert trace.std() == pytest.approx(lit.detected_e_per_frame * np.sqrt(4000) / lit.detection_sd, rel=0.05)
+        return
+    peak = electrons[:, 10, 10]
+    empty = electrons[:, :3, :3]
+    # Beside a bend the noise is told by its mean slope, to 6 %; far from it to the 1.1 % of 4000 frames, four of them.
+    assert peak.mean() - empty.mean() == pytest.approx(told.peak_pixel_e, abs=4 * peak.std() / np.sqrt(4000) + 0.5)
+    assert peak.std() == pytest.approx(told.peak_pixel_e / told.snr_peak_pixel, rel=0.08)
+    assert trace.std() == pytest.approx(told.detected_e_per_frame / told.snr_spot, rel=0.06)
+    assert movie[:, 10, 10].mean() == pytest.approx(told.peak_pixel_adu, abs=0.6 + 4 * movie[:, 10, 10].std() / 63)
+
+
+def test_more_light_stands_out_more_whatever_the_response():
+    powers = np.geomspace(1, 1e5, 60)
+    told = [predict(with_a_bent_response(power)) for power in powers]
+    assert np.all(np.diff([one.detection_sd for one in told]) > 0)
+    # Its last slope goes on, where float32 would not tell it any more.
+    far = [predict(with_a_bent_response(power)).snr_peak_pixel for power in (1e6, 1.001e6)]
+    assert np.isfinite(far).all() and far[1] == pytest.approx(far[0], rel=1e-2)
+
+
 def test_rounding_to_whole_counts_is_noise():
     # Counts of 8 electrons over a noise of 4.5: rounding has a quarter of a dark pixel's variance. A noise of half a
     # count and more leaves it within 1 % of 1/12.

@@ -109,6 +109,14 @@ def test_targets_that_exclude_each_other_are_told():
     assert sharp.ranges["localisation_nm"][0][0] == pytest.approx(sharp.value)
 
 
+def test_light_that_makes_a_molecule_stand_out_does_so_from_one_power_on():
+    model = nm.preset("Blinking").with_values(
+        {"fluorophore.cycles_before_bleaching": None, "fluorophore.isc_ratio": None}
+    )  # its camera answers to more light with less and less
+    (stretch,) = nm.solve(model, {"detection_sd": 450}).ranges["detection_sd"]
+    assert stretch[1] > 1e5
+
+
 def test_light_that_never_ends_is_enough():
     steady = nm.preset("FF").with_values({"fluorophore.cycles_before_bleaching": None})
     found = nm.solve(steady, {"snr_spot": 5, "detected_e_per_visit": 100, "on_time_s": 1})

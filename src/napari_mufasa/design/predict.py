@@ -9,9 +9,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from napari_mufasa import checks
 from napari_mufasa.camera.detector import multiplication_noise
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_POINTS = 1000
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -232,39 +235,61 @@ def _spot(model: Model, detected_e: float, emission_e2: float) -> _Spot:
     n_pixels = 1 / float(np.sum(line**2) ** 2)  # noise-equivalent number of pixels of the PSF fitted by least squares
     # The spot's own shot noise is largest at its centre, where the weights are.
     own_share = n_pixels**2 * float(np.sum(line**3) ** 2)
-    gain = float(camera.em_gain or 1.0)
     read_e2 = camera.read_noise_e**2
     if camera.variance_map_e2 is not None:
         read_e2 = float(np.mean(camera.variance_map_e2))
     read_e2 += camera.electrons_per_adu**2 / 12  # rounding to whole counts
     alpha = multiplication_noise(camera)
     dark_e = camera.quantum_efficiency * model.optics.background_photons_per_px + camera.clock_induced_charge_e
+    shape = np.outer(line, line)
     peak = detected_e * centre
-    out_e = (peak + dark_e) * gain
-    slope = gain
-    if camera.type == "CMOS":
-        from napari_mufasa.camera.detector import cmos_response
-
-        step = np.array([peak + dark_e, peak + dark_e + 0.01])
-        at, above = cmos_response(step, camera.model_copy(update={"gain_map": None})).astype(float)
-        out_e, slope = at, max((above - at) / 0.01, 1e-9)
-    read_e2 /= slope**2
+    light_e = detected_e * shape + dark_e
+    out_e, steep = _response(model, light_e, alpha * light_e + emission_e2 * shape**2)
+    read_pixels_e2 = read_e2 * steep
+    read_dark_e2 = read_e2 * float(_response(model, np.array(dark_e), np.array(alpha * dark_e))[1])
     # Fisher information on its place: Σ (∂μ/∂x)² / variance over the pixels. The noise of the emission moves all pixels
     # together, along μ, which is even where ∂μ/∂x is odd: it does not blur the place.
     rise = np.diff(np.exp(-(np.append(offsets_px - 0.5, 50.5) ** 2) / (2 * model.sigma_px**2)))
     slopes_e = detected_e * np.outer(line, rise / (np.sqrt(2 * np.pi) * model.sigma_px))
-    variance_e2 = alpha * (detected_e * np.outer(line, line) + dark_e) + read_e2
+    variance_e2 = alpha * light_e + read_pixels_e2
     known = float(np.sum(np.divide(slopes_e**2, variance_e2, out=np.zeros_like(slopes_e), where=variance_e2 > 0)))
     return _Spot(
         peak_e=peak,
-        peak_adu=min(out_e / camera.electrons_per_adu + camera.baseline_adu, camera.adc_max),
-        peak_noise_e=float(np.sqrt(alpha * (peak + dark_e) + emission_e2 * centre**2 + read_e2)),
+        peak_adu=min(float(out_e[50, 50]) / camera.electrons_per_adu + camera.baseline_adu, camera.adc_max),
+        peak_noise_e=float(np.sqrt(alpha * (peak + dark_e) + emission_e2 * centre**2 + read_pixels_e2[50, 50])),
         spot_noise_e=float(
-            np.sqrt(alpha * own_share * detected_e + emission_e2 + n_pixels * (alpha * dark_e + read_e2))
+            np.sqrt(
+                alpha * (own_share * detected_e + n_pixels * dark_e)
+                + emission_e2
+                + n_pixels**2 * np.sum(shape**2 * read_pixels_e2)
+            )
         ),
-        empty_noise_e=float(np.sqrt(n_pixels * (alpha * dark_e + read_e2))),
+        empty_noise_e=float(np.sqrt(n_pixels * (alpha * dark_e + read_dark_e2))),
         place_px=float(1 / np.sqrt(known)) if known > 0 else float("inf"),
     )
+
+
+def _response(model: Model, mean_e: Floats, variance_e2: Floats) -> tuple[Floats, Floats]:
+    """Mean output electrons of pixels whose photoelectrons have this mean and variance, and by how much the inverse of
+    the camera's response makes the square of a noise of the output larger: the mean of 1/slope², for shot noise spreads
+    over several pieces of a CMOS's curve."""
+    from scipy.special import ndtr
+
+    camera = model.camera
+    if camera.type != "CMOS":
+        gain = float(camera.em_gain or 1.0)
+        return gain * mean_e, np.full_like(mean_e, gain**-2)
+    knots_e, out_e = np.asarray(camera.cmos_gain_curve, dtype=float).T
+    slopes = np.diff(out_e) / np.diff(knots_e)
+    spread_e = np.sqrt(np.maximum(variance_e2, 1e-12))
+    steep, response_e = np.full_like(mean_e, slopes[0] ** -2), out_e[0] + slopes[0] * (mean_e - knots_e[0])
+    for knot_e, (slope, after) in zip(knots_e[1:-1], pairwise(slopes), strict=True):
+        above = (mean_e - knot_e) / spread_e
+        share = ndtr(above)
+        steep = steep + (after**-2 - slope**-2) * share
+        bell = np.exp(-(above**2) / 2) / np.sqrt(2 * np.pi)
+        response_e = response_e + (after - slope) * spread_e * (above * share + bell)
+    return response_e, steep
 
 
 def _w1_floor_e(model: Model, on_e: float, bright: float, on_noise_e: float, off_noise_e: float) -> float:
