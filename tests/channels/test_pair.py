@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 from tests.channels.splitter import BRIGHT, MODEL, splitter
 
+from napari_mufasa import files
 from napari_mufasa.camera import photoelectrons
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.channels import extract_pair, register, simulate_pair
@@ -181,6 +184,18 @@ def test_what_is_written_is_read_again(read, tmp_path):
     molecules = pd.read_csv(tmp_path / "molecules.csv")
     assert {"kept", "reason", "y_acceptor_px", "x_acceptor_px", "efficiency", "efficiency_sd"} <= set(molecules)
     assert json.loads((tmp_path / "channels.json").read_text())["donor"] == "0:96,0:96"
+
+
+def test_a_model_of_one_channel_is_no_contradiction_to_a_movie_of_both(movies, channels, tmp_path):
+    files.write_movie(tmp_path / "both.ome.tif", [movies[0].movie], movies[0].movie.shape, np.uint16)
+    MODEL.to_json(tmp_path / "model.json")
+    channels.to_json(tmp_path / "channels.json")
+    command = "traces both.ome.tif --model model.json --channels channels.json --out traces"
+    done = subprocess.run(
+        [sys.executable, "-m", "napari_mufasa", *command.split()], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0 and (tmp_path / "traces" / "donor.csv").exists()
+    assert "the model says" not in done.stderr + done.stdout
 
 
 def test_windows_and_the_choice_by_hand_hold_for_both(movies, channels):

@@ -721,6 +721,10 @@ BAD = {
     "bad effect value": (
         ["simulate", "--preset", "FF", "--effect", "stage_drift:distance_px=-1", "--out", "OUT/m.tif"], "distance_px",
     ),
+    "a parameter of another form": (
+        ["simulate", "--preset", "FF", "--effect", "photobleaching:fast_fraction=0.9", "--out", "OUT/m.tif"],
+        "fast_fraction matters to form=two_populations only: add that, or leave fast_fraction out",
+    ),
     "bad effect form": (["simulate", "--preset", "FF", "--effect", "row_noise:2", "--out", "OUT/m.tif"], "NAME=VALUE"),
     "missing movie": (["denoise", "nowhere.tif", "--model", "MODEL", "--out", "OUT/d.tif"], "no file nowhere.tif"),
     "truncated movie": (["denoise", "CUT", "--model", "MODEL", "--out", "OUT/d.tif"], "cut.tif"),

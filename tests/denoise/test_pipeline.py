@@ -104,6 +104,16 @@ def test_a_movie_of_less_noise_than_its_camera_says_is_denoised_by_the_noise_it_
     assert np.mean((found - truth) ** 2) < 0.01 * np.mean((recorded - truth) ** 2)
 
 
+def test_a_saturated_movie_is_told_as_one_and_its_camera_is_not_blamed():
+    truth, camera = blobs() * 400.0, CCD.model_copy(update={"read_noise_e": 4.0})
+    counts = record(truth, camera, np.random.default_rng(4))
+    most = int(np.percentile(counts, 70))
+    camera = camera.model_copy(update={"adc_max": most})
+    with pytest.warns(UserWarning, match="largest count, which have none: record with less light") as told:
+        nm.denoise(np.minimum(counts, most), camera)
+    assert "calibrate" not in str(told[0].message)
+
+
 @pytest.mark.parametrize("speed", [0.0, 1.0])
 @pytest.mark.parametrize("peak", [3.0, 20.0])
 def test_neighbouring_frames_help_and_never_smear(speed, peak):

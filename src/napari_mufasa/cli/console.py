@@ -201,7 +201,12 @@ def effect_from_text(model: Model, text: str) -> Any:
         if name.strip() in data:
             raise MufasaError(f"effect {text!r} has {name.strip()} twice: give it once")
         data[name.strip()] = plain_value(value)
-    return model.with_values({"effects": [data]}).effects[0]
+    effect = model.with_values({"effects": [data]}).effects[0]
+    for name in data.keys() & type(effect).model_fields.keys():
+        if name != "kind" and not effect.matters(name):
+            forms = " or ".join(f"form={form}" for form in sorted(effect.only_for(name)))
+            raise MufasaError(f"effect {text!r}: {name} matters to {forms} only: add that, or leave {name} out")
+    return effect
 
 
 def effects_from_texts(model: Model, texts: Sequence[str]) -> list[Any]:

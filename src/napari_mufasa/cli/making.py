@@ -44,7 +44,10 @@ def simulate(
     snr_by: Annotated[SnrBy | None, typer.Option("--snr-by", help="What --snr changes (power).")] = None,
     engine: Annotated[EngineName, typer.Option("--engine")] = "fast",
     truth: Annotated[
-        Path | None, typer.Option("--truth", metavar="DIR", help="Also write emission.csv and positions.csv.")
+        Path | None,
+        typer.Option(
+            "--truth", metavar="DIR", help="Also write emission.csv (no rows of dark frames) and positions.csv."
+        ),
     ] = None,
     seed: Seed = 0,
     scheduler: Scheduler = None,

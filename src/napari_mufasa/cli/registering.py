@@ -13,6 +13,7 @@ from napari_mufasa.cli.options import KindName, Overwrite
 from napari_mufasa.errors import MufasaError
 
 if TYPE_CHECKING:
+    from napari_mufasa.channels.rectangle import Rectangle
     from napari_mufasa.files import Movie
     from napari_mufasa.model.model import Model
 
@@ -58,7 +59,7 @@ def register(
     typer.echo(f"{out}: donor {found.donor}, acceptor {found.acceptor}")
 
 
-def one_channel(where: str | None, movie: Movie, model: Model | None, dark: Any) -> tuple[Movie, Any, Any]:
+def one_channel(where: str | Rectangle | None, movie: Movie, model: Model | None, dark: Any) -> tuple[Movie, Any, Any]:
     """Movie, model and dark frames of one channel; all of them where none is asked for."""
     if where is None:
         return movie, model, dark
@@ -87,7 +88,7 @@ def pair_traces(
     believed, registered = Model.from_json(model), Channels.from_json(channels)
     read = files.read_movie(movie)
     background = console.dark_frames(dark, read)
-    console.tell_disagreement(read, believed, background)
+    console.tell_disagreement(*one_channel(registered.donor, read, believed, background))
     with console.working("traces") as work:
         found = extract_pair(
             read.data,

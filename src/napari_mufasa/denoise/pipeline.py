@@ -22,7 +22,7 @@ from napari_mufasa.errors import Cancelled, MufasaError
 from .reel import Reel, block_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from distributed import Client
     from numpy.typing import NDArray
@@ -258,10 +258,7 @@ class _Frames:
         if self.learnt.is_impossible:
             self._learn_with_less_noise(learnt)
         if (wrong := self._wrong_noise()) is not None:
-            warnings.warn(
-                f"{wrong}; measure that (`calibrate`), or set its read noise and electrons per count to what they are",
-                stacklevel=4,
-            )
+            warnings.warn(f"{wrong}; {self._why_wrong(chosen)}", stacklevel=4)
         if self.learnt.weights is not None:
             gain = self.learnt.untouched / max(self.learnt.risk, 1e-3 * self.learnt.untouched)
             self.gain_db = float(10 * np.log10(gain))
@@ -291,6 +288,13 @@ class _Frames:
         if self.share < 1.0:
             return f"the movie has some {100 * (1 - self.share):.0f} % less noise than its camera says, and is taken so"
         return None
+
+    def _why_wrong(self, frames: Sequence[int]) -> str:
+        """In words, where less noise may come from, and what to do: values at the largest count have none."""
+        full = np.mean([(np.asarray(self.movie[t]) >= self.camera.adc_max).mean() for t in frames])
+        if full > 0:
+            return f"{100 * full:.2g} % of its values are at the largest count, which have none: record with less light"
+        return "measure that (`calibrate`), or set its read noise and electrons per count to what they are"
 
     def _way(self, t: int, cancel: Callable[[], bool] | None) -> float:
         """How far the second pass should go, judged on the middle of frame ``t``."""
