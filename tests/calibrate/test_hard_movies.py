@@ -8,7 +8,8 @@ import pytest
 import napari_mufasa as nm
 from napari_mufasa.calibrate import calibrate, measure, rows, unlit
 from napari_mufasa.calibrate.codes import code_widths
-from napari_mufasa.calibrate.dark import DarkFrames, measure_dark
+from napari_mufasa.calibrate.dark import DarkFrames, _frames, measure_dark
+from napari_mufasa.calibrate.rows import LAGS, Correlations
 from napari_mufasa.calibrate.sample import lit_frames
 
 SPOT = np.exp(-((np.arange(11) - 5.0)[:, None] ** 2 + (np.arange(11) - 5.0) ** 2) / (2 * 1.3**2))
@@ -51,6 +52,34 @@ def test_a_peak_of_empty_pixels_is_no_uneven_code_and_uneven_codes_are_seen():
     counts = 32 * np.floor(level / 32) + np.searchsorted(ends, level % 32)
     # 12500 counts in a code: 0.9 % each, 4.5 standard errors (2e-4 in all).
     np.testing.assert_allclose(code_widths([counts]), widths * 32 / widths.sum(), rtol=0.042)
+
+
+def test_uneven_codes_are_found_with_dark_frames_beside_as_without():
+    rng, widths = np.random.default_rng(4), np.array([1.4, 0.6, 1.0, 1.0] * 8)
+    begins = np.concatenate([np.cumsum(widths) - widths + 32 * k for k in range(40)])
+    movie = np.searchsorted(begins, rng.uniform(100, 1000, (50, 64, 64)), side="right") - 1
+    dark = np.searchsorted(begins, rng.normal(100, 5, (50, 64, 64)), side="right") - 1
+    found = code_widths([movie])
+    # 2e5 counts over 32 codes know each to 1.3 %; four of them.
+    np.testing.assert_allclose(found, widths, rtol=0.055)
+    assert code_widths([dark, movie]) == code_widths([movie, dark]) == found
+    assert code_widths([dark]) == code_widths([]) == ()
+
+
+@pytest.mark.parametrize("n", [5, 10, 21, 50])
+@pytest.mark.parametrize("alternation", [0.0, 5.0])
+def test_the_interval_of_the_jitter_holds_what_it_says_of_a_few_frames(n, alternation):
+    """Frames whose means jitter by 1 ADU, beside pixel noise that makes as much of it or none."""
+    rng, none = np.random.default_rng(5), np.zeros(LAGS)
+    even = Correlations(none, none, 0.01, 1.0)
+    for own in (0.0, 1.0):
+        means = rng.normal(0, np.hypot(1.0, own), (2000, n)) + alternation * (-1) ** np.arange(n)
+        told = [_frames(one, own * 1e6, 10**6, even)[1] for one in means]
+        # 95 % of 2000 are known to 0.5 %; of five frames an alternation may be found by chance, which costs 1 %.
+        assert np.mean([one.holds(1.0) for one in told]) == pytest.approx(0.95, abs=0.025)
+        assert all(one.holds(one.value) for one in told)
+    still = [_frames(one, 1e6, 10**6, even)[1].value for one in rng.normal(0, 1, (2000, n))]
+    assert np.count_nonzero(still) <= 10  # one in a thousand by chance: 2 ± 1.4
 
 
 @pytest.mark.parametrize("n_frames", [1, 2, 4])

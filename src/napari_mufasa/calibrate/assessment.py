@@ -82,7 +82,6 @@ def assessed(light: Light, dark: Dark | None, assumed: Assumed, factor: float, n
     excess = UNKNOWN
     per_electron = slope.over(factor)
     if known and seen is not None:
-        law = replace(law, adu_per_electron=slope.value / factor)
         beneath = base.value
         if dark is not None and dark.stray is not None:
             beneath = dark.stray.offset_adu.value

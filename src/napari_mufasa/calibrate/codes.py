@@ -17,8 +17,8 @@ ROOM_SD = 5.0  # below the top, for a pixel to be free of it
 
 
 def code_widths(stacks: Iterable[Any]) -> tuple[float, ...]:
-    """Widths of the codes modulo `PERIOD`, of mean 1, from counts spread over more than a period; () where they are
-    even, or cannot be told.
+    """Widths of the codes modulo `PERIOD`, of mean 1, from those stacks whose counts spread over more than a period;
+    () where they are even, or cannot be told.
 
     Codes are the same in every period, counts are not: those of a dark or even background pile up within a few codes,
     whatever spots add far above them. Such a pile differs more between odd and even periods than between codes.
@@ -27,11 +27,13 @@ def code_widths(stacks: Iterable[Any]) -> tuple[float, ...]:
 
     periods = np.zeros((2, PERIOD))
     for stack in stacks:
-        if np.std(stack) < PERIOD:
-            return ()
+        if np.std(stack) < PERIOD:  # as those of dark frames are
+            continue
         codes = np.asarray(stack, np.int64).ravel() % (2 * PERIOD)
         periods += np.bincount(codes, minlength=2 * PERIOD).reshape(2, PERIOD)
     found = periods.sum(axis=0)
+    if not found.any():
+        return ()
     even = found.sum() / PERIOD
     rms = float(np.std(found / even))
     if rms < np.sqrt(np.mean((periods[0] - periods[1]) ** 2)) / even:

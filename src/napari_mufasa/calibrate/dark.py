@@ -27,6 +27,7 @@ HOT_ALARM = 0.01  # … unless one of so many fields of like pixels has one by c
 HOT_ADU2 = 1.0  # … or rounding makes it: of little noise it leaves many pixels none and others up to 1/4 ADU²
 MEDIAN_ERROR = 1.17  # standard error of a normal sd that is told by the median, times √n over the sd
 SURE = 3.5  # standard errors from which on an alternation is believed
+JITTER_ALARM = 1e-3  # chance of so much scatter of the frames' means where no baseline jitters
 GOOD = 0.01  # p-value of a normal law from which on no tail is looked for
 MOST_CHARGE_E = 0.5  # spurious electrons per pixel and frame above which they are no separate tail
 LEAST_TAIL = 12.0  # twice the gain in log likelihood that a tail must bring (false alarm about 1e-3)
@@ -248,20 +249,23 @@ def _few(dark: DarkFrames) -> Dark:
 
 def _frames(per_frame: NDArray[np.float64], variance: float, n_pixels: int, rows: Correlations) -> tuple[Value, Value]:
     """How far the baseline alternates between even and odd frames, and how far it jitters beside that."""
+    from scipy import stats
+
     n = len(per_frame)
-    sign = 1.0 - 2.0 * (np.arange(n) % 2)
     about = per_frame - per_frame.mean()
-    alternation = float(np.sum(about * sign) / n)
-    left = about - alternation * sign
-    sd = float(left.std(ddof=2) / np.sqrt(n))
+    sign = 1.0 - 2.0 * (np.arange(n) % 2)
+    sign -= sign.mean()  # of an odd number of frames one kind has one more
+    alternation = float(np.sum(about * sign) / np.sum(sign**2))
+    sd = float((about - alternation * sign).std(ddof=2) / np.sqrt(np.sum(sign**2)))
     kept = alternation if abs(alternation) > SURE * sd else 0.0
     own = variance / n_pixels * max(1 + 2 * float(np.sum(rows.kernel)), 0.1)
-    spread = float(np.sum((about - kept * sign) ** 2) / (n - 1 - (kept != 0)))
-    doubt = spread * np.sqrt(2 / (n - 1))
-    high = float(np.sqrt(max(spread + NORMAL * doubt - own, 0.0)))
-    low = float(np.sqrt(max(spread - NORMAL * doubt - own, 0.0)))
-    jitter = float(np.sqrt(max(spread - own, 0.0))) if spread - own > 2 * doubt else 0.0
-    return Value(kept, sd), Value(jitter, (high - low) / (2 * NORMAL), low, high)
+    known = n - 1 - (kept != 0)
+    squares = float(np.sum((about - kept * sign) ** 2))
+    # Squares of normal numbers, of which there are few: their sum has the law of chi2.
+    low, high = (float(np.sqrt(max(squares / stats.chi2.ppf(p, known) - own, 0.0))) for p in (0.975, 0.025))
+    believed = squares > own * stats.chi2.isf(JITTER_ALARM, known)
+    jitter = float(np.sqrt(squares / known - own)) if believed else 0.0
+    return Value(kept, sd), Value(jitter, (high - low) / (2 * NORMAL), min(low, jitter), high)
 
 
 def _law(
