@@ -50,7 +50,7 @@ def test_molecules_live_as_many_frames_as_was_solved_for():
     slow = found.model.with_values({"acquisition.frame_interval_s": 0.02})
     again = nm.simulate_emission(slow, n_molecules=12_000, seed=8).sum(axis=1).mean()
     detected = again * slow.camera.quantum_efficiency * slow.optics.collection_efficiency
-    assert detected == pytest.approx(nm.predict(slow).photons_before_bleaching, rel=0.05)
+    assert detected == pytest.approx(nm.predict(slow).detected_e_before_bleaching, rel=0.05)
 
 
 def _line(sigma, shift, half):

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_POINTS = 1000
+SATURATES = 2.0  # sd: a pixel whose mean is not so far below the largest count is cut off in some frames
 Floats = NDArray[np.float64]
 
 
@@ -38,6 +39,7 @@ class Prediction:
     emitted_photons_per_frame, collected_photons_per_frame, detected_e_per_frame : of a molecule that is bright for
         the whole frame: in all directions, on the detector, as photoelectrons
     peak_pixel_e, peak_pixel_adu : its signal in the pixel it is centred on (ADU: with baseline and background)
+    headroom_sd : by how many sd of its noise that lies below the largest count; below 2 (`SATURATES`) it is cut off
     snr_peak_pixel, snr_spot : signal over noise in a frame, in that pixel and fitted with the PSF over the whole
         spot (what `extract_traces` does); noise of emission and detection, the camera's multiplication, background,
         read noise and rounding to whole counts (1/12 of their square) included; infinite without any noise
@@ -49,12 +51,12 @@ class Prediction:
         times that `extract_traces` looks at (docs/traces.md), which asks for 6; of many visits the longest do more
     duty_cycle : share of its life the molecule is bright
     bleaching_time_s : mean time until bleaching, dark times and activation included
-    photons_before_bleaching : detected photoelectrons in a life, those of the exposures only
+    detected_e_before_bleaching : photoelectrons of a life, those of the exposures only
     frames_before_bleaching : frames of full light in a life, dark times not counted
     localisation_nm : least sd along one axis with which a frame can place it (Cramér–Rao bound)
     bleached_by_the_end : share of molecules bleached when the movie ends, as many as were activated and came back
-    w1_floor_e : Wasserstein distance expected between two halves of the movie's frames (independent frames), bleached
-        molecules among them
+    w1_floor_e : Wasserstein distance expected between the traces of two halves of the molecules, of which some are
+        bright for longer than others
     smallest_change : relative change of brightness whose distance equals that floor
     movie_s : length of the movie
     """
@@ -65,6 +67,7 @@ class Prediction:
     detected_e_per_frame: float
     peak_pixel_e: float
     peak_pixel_adu: float
+    headroom_sd: float
     snr_peak_pixel: float
     snr_spot: float
     on_time_s: float | None
@@ -74,7 +77,7 @@ class Prediction:
     detection_sd: float
     duty_cycle: float
     bleaching_time_s: float | None
-    photons_before_bleaching: float | None
+    detected_e_before_bleaching: float | None
     frames_before_bleaching: float | None
     localisation_nm: float | None
     bleached_by_the_end: float | None
@@ -114,7 +117,7 @@ def predict(model: Model) -> Prediction:
         bleach_s = (0.0 if first_light is None else 1 / first_light) + 1 / (bleach_rate * duty)
     leaving = off_rate + bleach_rate
     movie_s = timing.n_frames * timing.interval_s
-    bleached, bright = _shares(bleach_rate, off_rate, back_rate or 0.0, first_light, movie_s)
+    bleached, bright, bright_var = _shares(bleach_rate, off_rate, back_rate or 0.0, first_light, movie_s)
     # Detection adds its own Poisson noise to that of the emission (docs/camera.md), of which the optics say the share.
     emission_share = optics.emission_noise * detected_share
     pixels = _spot(model, detected, emission_share * detected)
@@ -129,7 +132,7 @@ def predict(model: Model) -> Prediction:
     means = {n: lit(n * timing.interval_s) for n in averaged_frames(timing.n_frames)[:-1]} if bright > 0 else {}
     means |= {timing.n_frames: bright}
     most_e = detected * max(share * np.sqrt(n) for n, share in means.items())
-    floor = _w1_floor_e(model, detected, bright, pixels.spot_noise_e, pixels.empty_noise_e)
+    floor = _w1_floor_e(model, detected, bright, bright_var, pixels.spot_noise_e, pixels.empty_noise_e)
     return Prediction(
         k01_per_s=k01,
         emitted_photons_per_frame=emitted,
@@ -137,6 +140,7 @@ def predict(model: Model) -> Prediction:
         detected_e_per_frame=detected,
         peak_pixel_e=pixels.peak_e,
         peak_pixel_adu=pixels.peak_adu,
+        headroom_sd=pixels.headroom_sd,
         snr_peak_pixel=_over_noise(pixels.peak_e, pixels.peak_noise_e),
         snr_spot=_over_noise(detected, pixels.spot_noise_e),
         on_time_s=on_s,
@@ -146,7 +150,7 @@ def predict(model: Model) -> Prediction:
         dark_time_s=dark_s,
         duty_cycle=duty,
         bleaching_time_s=bleach_s,
-        photons_before_bleaching=detected / (bleach_rate * timing.interval_s) if bleach_rate else None,
+        detected_e_before_bleaching=detected / (bleach_rate * timing.interval_s) if bleach_rate else None,
         frames_before_bleaching=1 / (bleach_rate * timing.interval_s) if bleach_rate else None,
         localisation_nm=pixels.place_px * timing.pixel_size_nm if np.isfinite(pixels.place_px) else None,
         bleached_by_the_end=bleached if k1b else None,
@@ -156,9 +160,12 @@ def predict(model: Model) -> Prediction:
     )
 
 
-def _shares(bleaching: float, off: float, back: float, first: float | None, movie_s: float) -> tuple[float, float]:
-    """Share of molecules bleached when a movie ends, and the mean share of it that they are bright, by rates per s:
-    bleaching and turning off while bright, coming back, and first light (None: bright from the start)."""
+def _shares(
+    bleaching: float, off: float, back: float, first: float | None, movie_s: float
+) -> tuple[float, float, float]:
+    """Share of molecules bleached when a movie ends, and mean and variance (over molecules) of the share of it that
+    they are bright, by rates per s: bleaching and turning off while bright, coming back, and first light (None: bright
+    from the start)."""
     from scipy.linalg import expm
 
     bright, dark, bleached, waiting = range(4)
@@ -166,10 +173,16 @@ def _shares(bleaching: float, off: float, back: float, first: float | None, movi
     generator[bright, bleached], generator[bright, dark], generator[dark, bright] = bleaching, off, back
     generator[waiting, bright] = first or 0.0
     generator -= np.diag(generator.sum(axis=1))
-    # Beside the exponential of the generator, that of this block has its mean over the movie.
-    moved = expm(np.block([[generator * movie_s, np.eye(4)], [np.zeros((4, 8))]]))[bright if first is None else waiting]
-    ended, mean = np.clip(moved[[bleached, 4 + bright]], 0, 1)
-    return float(ended), float(mean)
+    # Beside the exponential of the generator, those of these blocks have its mean over the movie, and the mean over all
+    # pairs of times in order of being bright at both (Van Loan, IEEE Trans. Automat. Contr. 23, 395, 1978).
+    is_bright = np.eye(4)[:, [bright]]
+    blocks = np.zeros((9, 9))
+    blocks[:4, :4] = blocks[4:8, 4:8] = generator * movie_s
+    blocks[:4, 4:8], blocks[4:8, 8:] = is_bright @ is_bright.T, is_bright
+    start = bright if first is None else waiting
+    moved = expm(blocks)
+    ended, mean = np.clip([moved[start, bleached], moved[4 + start, 8]], 0, 1)
+    return float(ended), float(mean), float(max(2 * moved[start, 8] - mean**2, 0.0))
 
 
 def _over_noise(signal: float, noise: float) -> float:
@@ -212,11 +225,12 @@ def numbers() -> dict[str, type]:
 
 @dataclass(frozen=True)
 class _Spot:
-    """Signal and noise of a spot centred on a pixel, in photoelectrons (peak_adu: in counts); place_px: the least sd
-    of its place."""
+    """Signal and noise of a spot centred on a pixel, in photoelectrons (peak_adu: in counts); headroom_sd: of its
+    brightest pixel; place_px: the least sd of its place."""
 
     peak_e: float
     peak_adu: float
+    headroom_sd: float
     peak_noise_e: float
     spot_noise_e: float
     empty_noise_e: float
@@ -253,10 +267,14 @@ def _spot(model: Model, detected_e: float, emission_e2: float) -> _Spot:
     slopes_e = detected_e * np.outer(line, rise / (np.sqrt(2 * np.pi) * model.sigma_px))
     variance_e2 = alpha * light_e + read_pixels_e2
     known = float(np.sum(np.divide(slopes_e**2, variance_e2, out=np.zeros_like(slopes_e), where=variance_e2 > 0)))
+    peak_adu = float(out_e[50, 50]) / camera.electrons_per_adu + camera.baseline_adu
+    peak_noise_e = float(np.sqrt(alpha * (peak + dark_e) + emission_e2 * centre**2 + read_pixels_e2[50, 50]))
+    room_e = (camera.adc_max - peak_adu) * camera.electrons_per_adu * float(np.sqrt(steep[50, 50]))
     return _Spot(
         peak_e=peak,
-        peak_adu=min(float(out_e[50, 50]) / camera.electrons_per_adu + camera.baseline_adu, camera.adc_max),
-        peak_noise_e=float(np.sqrt(alpha * (peak + dark_e) + emission_e2 * centre**2 + read_pixels_e2[50, 50])),
+        peak_adu=peak_adu,
+        headroom_sd=room_e / peak_noise_e if peak_noise_e > 0 else float(np.copysign(np.inf, room_e)),
+        peak_noise_e=peak_noise_e,
         spot_noise_e=float(
             np.sqrt(
                 alpha * (own_share * detected_e + n_pixels * dark_e)
@@ -292,15 +310,21 @@ def _response(model: Model, mean_e: Floats, variance_e2: Floats) -> tuple[Floats
     return response_e, steep
 
 
-def _w1_floor_e(model: Model, on_e: float, bright: float, on_noise_e: float, off_noise_e: float) -> float:
-    """E|F₁ − F₂| integrated: for two halves of M samples, a share `bright` of them bright, √(2/π)·√(4/M)·∫√(F(1−F))."""
+def _w1_floor_e(
+    model: Model, on_e: float, bright: float, bright_var: float, on_noise_e: float, off_noise_e: float
+) -> float:
+    """E|F₁ − F₂| integrated, of two halves of N molecules and T frames: √(2/π)·∫√(4·(noise/(N·T) + light/N)), where the
+    noise of every frame is its own, and the share of it that a molecule is bright (`bright`, variance `bright_var`) is
+    a draw for each molecule."""
     from scipy.special import ndtr
 
-    samples = max(2, model.sample.n_molecules * model.acquisition.n_frames)
+    n, n_frames = max(2, model.sample.n_molecules), model.acquisition.n_frames
     width = max(on_noise_e, off_noise_e)
     if width <= 0:
         return 0.0
     e = np.linspace(min(0.0, on_e) - 8 * width, on_e + 8 * width, 4001)
-    below = bright * ndtr((e - on_e) / max(on_noise_e, 1e-9)) + (1 - bright) * ndtr(e / max(off_noise_e, 1e-9))
-    spread = np.trapezoid(np.sqrt(np.clip(below * (1 - below), 0, None)), e)
-    return float(np.sqrt(2 / np.pi) * np.sqrt(4 / samples) * spread)
+    on, off = ndtr((e - on_e) / max(on_noise_e, 1e-9)), ndtr(e / max(off_noise_e, 1e-9))
+    noise = bright * on * (1 - on) + (1 - bright) * off * (1 - off)
+    light = max(bright_var, bright * (1 - bright) / n_frames) * (off - on) ** 2
+    spread = np.trapezoid(np.sqrt(noise / (n * n_frames) + light / n), e)
+    return float(np.sqrt(2 / np.pi) * 2 * spread)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_mufasa import checks
-from napari_mufasa.design.predict import Prediction, numbers, predict
+from napari_mufasa.design.predict import SATURATES, Prediction, numbers, predict
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
@@ -34,7 +34,7 @@ class Solution:
     model : with the value at which the first target is just met
     prediction : of that model
     ranges : by target, the stretches of the value in which it is met: ((low, high), …); a stretch ends where the
-        values looked through end, or are no longer allowed
+        values looked through end, are no longer allowed, or cut off the brightest pixel
     together : the stretches in which all are met; () where they exclude each other
     """
 
@@ -89,18 +89,30 @@ def solve(model: Model, targets: Mapping[str, float], vary: str = POWER) -> Solu
     if len(allowed) < 2:
         raise MufasaError(f"{vary} cannot be changed in this model: no other value is allowed")
 
-    def excess(name: str) -> Callable[[float], float]:
+    def told_at(value: float) -> Prediction | None:
+        return at[value] if value in at else _predicted(model, vary, value)
+
+    def excess(name: str, most: float = SATURATES) -> Callable[[float], float]:
         def of(value: float) -> float:
-            told = at[value] if value in at else _predicted(model, vary, value)
-            return -np.inf if told is None else _excess(getattr(told, name), name, wanted[name])
+            told = told_at(value)
+            if told is None or (told.headroom_sd < most and name != "headroom_sd"):
+                return -np.inf
+            return _excess(getattr(told, name), name, wanted[name])
 
         return of
 
+    def is_held(value: float) -> bool:
+        """Does the camera hold the brightest pixel?"""
+        told = told_at(value)
+        return told is not None and told.headroom_sd >= SATURATES
+
     ranges = {name: _met(allowed, excess(name), vary) for name in wanted}
     first = next(iter(wanted))
-    edges = [edge for stretch in ranges[first] for edge in stretch if allowed[0] < edge < allowed[-1]]
+    met = _met(allowed, excess(first, -np.inf), vary)
+    edges = [edge for stretch in met for edge in stretch if allowed[0] < edge < allowed[-1]]
+    edges = [edge for edge in edges if first == "headroom_sd" or is_held(edge)]
     if not edges:
-        reached = [getattr(told, first) for value in allowed if (told := at[value]) is not None]
+        reached = [getattr(told, first) for value in allowed if is_held(value) and (told := at[value]) is not None]
         seen = [r for r in reached if r is not None]
         span = f"{min(seen):.3g} to {max(seen):.3g}" if seen else "nothing"
         less = first in LESS_IS_BETTER
@@ -108,6 +120,8 @@ def solve(model: Model, targets: Mapping[str, float], vary: str = POWER) -> Solu
         if ranges[first]:
             raise MufasaError(f"{first} = {wanted[first]:g} is met throughout: {tried} gives {span}; ask for more")
         best = "" if not seen else f"; at {'least' if less else 'most'} {(min if less else max)(seen):.3g}"
+        full = [value for value in allowed if not is_held(value)]
+        best += f" where no pixel is cut off (at {full[0]:.3g} to {full[-1]:.3g} the brightest is)" if full else ""
         raise MufasaError(
             f"{first} = {wanted[first]:g} cannot be reached{best}: {tried} was looked through; vary another value"
         )

@@ -44,6 +44,8 @@ LABELS = {
     "adu_per_photoelectron": "ADU per photoelectron",
     "localisation_nm": "Least error of a place",
     "frames_before_bleaching": "Bright frames before bleaching",
+    "detected_e_before_bleaching": "Electrons before bleaching",
+    "headroom_sd": "Brightest pixel below the largest count by (sd of its noise)",
 }
 
 

@@ -122,10 +122,18 @@ def derived_values(model: Model) -> list[tuple[str, str, str]]:
 
 
 def hardly_seen(model: Model) -> str:
-    """One line where traces will find few of a movie's molecules, or none; nothing where they stand out."""
-    from napari_mufasa.design.predict import predict
+    """One line where traces will find few of a movie's molecules, or none, or too little of their light; nothing where
+    they stand out and the camera holds them."""
+    from napari_mufasa.design.predict import SATURATES, predict
 
-    stands_out = predict(model).detection_sd
+    told = predict(model)
+    stands_out = told.detection_sd
+    if told.headroom_sd < SATURATES:
+        return (
+            f"The brightest pixel of a bright molecule comes to {_short(told.peak_pixel_adu)} counts on average, the "
+            f"camera holds {model.camera.adc_max} (effects not counted): it is cut off, and traces are too dim; "
+            "`design` tells how much light is not too much."
+        )
     if stands_out >= FAINT_SD:
         return ""
     return (
