@@ -56,7 +56,7 @@ def dynamics(traces: NDArray[np.floating], false_alarm_rate: float = 0.01) -> Dy
     levels = np.concatenate([step.levels for step in steps])
     ideal = np.repeat(levels, lengths).reshape(n, n_frames)
     noise = np.std(traces - ideal, axis=1)
-    on_level = _on_level(steps, lengths, levels)
+    on_level = _on_level(steps, lengths, levels, noise)
     lit = (ideal > LIT * on_level[:, None]) & (ideal > noise[:, None] / np.sqrt(n_frames))
     shines = lit.any(axis=1)
     first = np.where(shines, np.argmax(lit, axis=1), -1)
@@ -78,13 +78,17 @@ def dynamics(traces: NDArray[np.floating], false_alarm_rate: float = 0.01) -> Dy
     )
 
 
-def _on_level(steps: list[Steps], lengths: NDArray[np.int64], levels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean level of the lit segments of each trace: those above half of the highest well-supported one."""
+def _on_level(
+    steps: list[Steps], lengths: NDArray[np.int64], levels: NDArray[np.float64], noise: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Mean level of the lit segments of each trace: those above half of the highest well-supported one, or, where none
+    of these is brighter than the noise of a frame, of the highest."""
     counts = np.array([len(step.starts) for step in steps])
     begins = np.concatenate([[0], np.cumsum(counts)[:-1]])
     longest = np.repeat(np.maximum.reduceat(lengths, begins), counts)
     supported = np.where(lengths >= np.minimum(SUPPORTED, longest), levels, -np.inf)
     highest = np.maximum.reduceat(supported, begins)
+    highest = np.where(highest > noise, highest, np.maximum.reduceat(levels, begins))
     up = lengths * (levels > ON * np.repeat(highest, counts))
     weight = np.maximum(np.add.reduceat(up, begins), 1)
     return np.asarray(np.where(highest > 0, np.add.reduceat(up * levels, begins) / weight, 0.0))
