@@ -166,6 +166,19 @@ def test_a_movie_that_is_damaged_in_the_middle_is_told_wherever_it_is(tmp_path, 
         check_line(complaint(files.load, path), name)
 
 
+@pytest.mark.parametrize("name", ["pages.tif", "shaped.tif", "imagej.tif"])
+def test_a_few_bytes_behind_the_pages_are_no_damage(tmp_path, name):
+    path = tmp_path / name
+    tifffile.imwrite(
+        path, np.zeros_like(FRAMES), compression="zlib", metadata=None
+    )  # pages of fewer bytes than a sector
+    path.write_bytes(path.read_bytes() + bytes(512))
+    assert files.load(path).shape == FRAMES.shape
+    PACKED[name](path)
+    path.write_bytes(path.read_bytes() + bytes(512))
+    np.testing.assert_array_equal(files.load(path), FRAMES)
+
+
 def test_a_movie_with_a_broken_chain_of_pages_says_what_was_announced(tmp_path):
     path = tmp_path / "m.tif"
     PACKED["shaped.tif"](path)
@@ -176,6 +189,19 @@ def test_a_movie_with_a_broken_chain_of_pages_says_what_was_announced(tmp_path):
         file.write(bytes(200))
     told = complaint(files.read_movie, path)
     check_line(told, "announces 40 frames, its 22 pages hold fewer: damaged; copy it anew or export it anew")
+
+
+def test_a_page_of_another_shape_between_the_frames_is_told_and_a_second_image_is_not_read(tmp_path):
+    path = tmp_path / "m.tif"
+    for lone in (1, 40):
+        with tifffile.TiffWriter(path) as file:
+            for i in range(41):
+                frame = FRAMES[0, :10] if i == lone else FRAMES[i - (i > lone)]
+                file.write(frame, photometric="minisblack", metadata=None, contiguous=False)
+        if lone < 40:
+            check_line(complaint(files.read_movie, path), f"page {lone + 1} of 41 is no frame like the others: damaged")
+    with pytest.warns(UserWarning, match="holds 2 series of images: the first"):
+        np.testing.assert_array_equal(files.load(path), FRAMES)
 
 
 def test_a_large_stack_of_imagej_that_is_cut_short_is_told(tmp_path):

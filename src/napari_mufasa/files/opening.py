@@ -27,6 +27,7 @@ CODECS = {
 }  # fmt: skip
 MOST_META_BYTES = 2**28
 MOST_BLOCK_BYTES = 2**28
+PADDING = 1024  # bytes behind a file's pages that mean nothing, as of a disk's last sector
 
 
 class Guarded:
@@ -180,19 +181,22 @@ def check_whole(file: Any, path: Path) -> None:
         raise MufasaError(f"{path} announces {announced} frames, its {len(file.pages)} pages hold fewer: {anew}")
     if series.kind not in ("generic", "uniform"):  # of all others the description says what the file holds
         return
-    if series.kind == "generic":
-        for i, one in enumerate(file.pages):
-            if not one.shape:
-                raise MufasaError(f"{path}: page {i + 1} of {len(file.pages)} holds no image: {anew}")
+    pages = [one for one in series if one is not None]
+    odd = [i for i, one in enumerate(file.pages) if not one.shape] if series.kind == "generic" else []
+    between = sorted(set(range(pages[0].index, pages[-1].index)) - {one.index for one in pages})
+    if len(between) < there / 2:  # more of them are images of another kind, as of one to each frame
+        odd += between
+    if odd:
+        raise MufasaError(f"{path}: page {odd[0] + 1} of {len(file.pages)} is no frame like the others: {anew}")
     behind = path.stat().st_size - _end_of_pages(file)
-    if behind >= min(sum(one.databytecounts) for one in series if one is not None):
+    if behind >= max(PADDING, *(sum(one.databytecounts) for one in pages)):
         raise MufasaError(f"{path} holds {checks.size(behind)} behind the {there} frames that can be read: {anew}")
     if there < by_imagej:
         warnings.warn(f"{path} announces {by_imagej} frames, {there} are there, which are read", stacklevel=4)
 
 
 def _shaped_planes(file: Any) -> int:
-    told = file.shaped_metadata or ({},)
+    told: Any = file.shaped_metadata or ({},)
     return int(np.prod(told[0].get("shape", 0))) // max(int(np.prod(file.pages.first.shape)), 1)
 
 
@@ -214,7 +218,7 @@ def _end_of_pages(file: Any) -> int:
     ends += [tag.valueoffset + tag.valuebytecount for page in (file.pages.first, last) for tag in page.tags]
     for page in (page for series in file.series for page in series if page is not None):
         ends += [start + length for start, length in zip(page.dataoffsets, page.databytecounts, strict=True)]
-    return max(ends)
+    return int(max(ends))
 
 
 def _file_names(ome_xml: str) -> list[str]:
