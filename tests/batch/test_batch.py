@@ -17,7 +17,15 @@ import pytest
 import napari_mufasa as nm
 from napari_mufasa import files
 from napari_mufasa.batch import Entry, Result, Settings, read_entries, run
-from napari_mufasa.batch.table import condition_table, difference_table, holm, pooled
+from napari_mufasa.batch.table import (
+    able_to_tell,
+    condition_table,
+    difference_table,
+    holm,
+    pooled,
+    rank_p,
+    write_tables,
+)
 from napari_mufasa.cli import main
 from napari_mufasa.effects import effect_class
 from napari_mufasa.errors import MufasaError
@@ -231,6 +239,12 @@ def test_one_movie_is_as_sure_as_it_says():
     assert np.isnan(pooled([], [])[0]) and pooled([2.0], [0.1])[:2] == pytest.approx((2.0, 0.196))
 
 
+def test_movies_without_an_uncertainty_count_alike():
+    assert pooled([2.0], [0.0]) == (2.0, 0.0, 0.0)
+    mean, reach, between = pooled([1.0, 2.0, 3.0], [0.0, 0.1, 0.3])
+    assert (mean, between) == pytest.approx((2.0, 1.0)) and reach == pytest.approx(4.303 / np.sqrt(3), rel=1e-3)
+
+
 def results_of(rng, effect_in=(), brighter=1.0, n=6):
     found = {"effect": "stage_drift", "p_value": 1e-6, "evidence": 50.0}
     found |= {"parameters": {"distance_px": 3.0}, "sd": {"distance_px": 0.4}}
@@ -247,10 +261,68 @@ def results_of(rng, effect_in=(), brighter=1.0, n=6):
     return results
 
 
-def test_conditions_that_are_the_same_are_rarely_told_apart():
+@pytest.mark.parametrize("n", [3, 4, 6])
+def test_conditions_that_are_the_same_are_rarely_told_apart(n):
     rng = np.random.default_rng(3)
-    alarms = [difference_table(results_of(rng))["differs"].any() for _ in range(400)]
-    assert sum(alarms) <= 35  # 5 % of 400 are 20 ± 4.4; three sd above
+    alarms = [difference_table(results_of(rng, n=n))["differs"].any() for _ in range(400)]
+    assert sum(alarms) <= 33  # 5 % of 400 are 20 ± 4.4; three sd above
+
+
+@pytest.mark.parametrize("sizes", [(3, 3), (4, 4), (5, 5), (3, 8), (3, 3, 3), (10, 10)])
+@pytest.mark.parametrize("whole", [False, True])
+def test_p_values_of_few_movies_are_those_of_chance(sizes, whole):
+    """Where nothing differs, a p value of 5 % or less comes in 5 % at most: with ties, too."""
+    rng = np.random.default_rng(6)
+    p = []
+    for _ in range(800):
+        samples = [rng.poisson(3, n) if whole else rng.normal(size=n) for n in sizes]
+        p.append(rank_p(samples)[0])
+    assert np.mean(np.array(p) <= 0.05) <= 0.073  # 5 % of 800 are known to 0.77 %; three of them
+
+
+def test_p_values_of_few_movies_are_exact():
+    from scipy import stats
+
+    rng = np.random.default_rng(7)
+    for n, m in [(3, 3), (4, 6), (8, 8)]:
+        a, b = rng.normal(size=n), rng.normal(0.8, 1, size=m)
+        exact = stats.mannwhitneyu(a, b, method="exact").pvalue
+        assert rank_p([a, b])[0] == rank_p([a, b])[0] == pytest.approx(exact)
+    for table in ([[0, 6], [6, 0]], [[1, 4], [5, 2]], [[0, 9], [3, 6]]):
+        found = [[1.0] * there + [0.0] * absent for there, absent in table]
+        assert rank_p(found)[0] == pytest.approx(stats.fisher_exact(table).pvalue, abs=0.006)  # the last is drawn
+    # Of more ways than are looked at, as many at random: 3 in 20 000 of √N are 0.5 %.
+    a, b = rng.normal(size=10), rng.normal(0.8, 1, size=12)
+    assert rank_p([a, b])[0] == pytest.approx(stats.mannwhitneyu(a, b, method="exact").pvalue, abs=0.01)
+    p, least = rank_p([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    assert p == least == pytest.approx(6 / 90)  # the three conditions in any order, of 6!/(2!)³ ways
+
+
+def test_movies_that_are_too_few_to_tell_have_no_adjusted_p():
+    rng = np.random.default_rng(8)
+    few = difference_table(results_of(rng, effect_in=("b",), brighter=3.0, n=3))
+    # Three against three: of 20 ways to deal six movies two are the most that they can differ.
+    assert few["p_value"].min() == pytest.approx(0.1) and few["p_adjusted"].isna().all() and not few["differs"].any()
+    # Six against six: three numbers and an effect.
+    four = difference_table(results_of(rng, effect_in=("b",), brighter=3.0, n=6)).set_index("what")
+    assert four.loc["brightness_e", "p_adjusted"] == pytest.approx(4 * 2 / 924)
+    # A row that no dealing of its movies could make differ costs the others nothing.
+    np.testing.assert_array_equal(able_to_tell(np.array([0.002, 0.02, 0.02, 0.4])), [True, False, False, False])
+    np.testing.assert_array_equal(able_to_tell(np.array([0.002, 0.02, 0.4])), [True, True, False])
+    assert not able_to_tell(np.full(9, 2 / 252)).any() and able_to_tell(np.full(9, 2 / 924)).all()
+
+
+def test_a_condition_may_be_called_like_a_column(tmp_path):
+    names = ("p_value", "what", "differs", "p_adjusted", "b")
+    results = [
+        Result(Entry(movie=Path(f"{name}{i}.tif"), name=f"{name}{i}", condition=name), {"w1": 1.0 + i + k})
+        for k, name in enumerate(names)
+        for i in range(3)
+    ]
+    write_tables(tmp_path, results, "title")
+    told = pd.read_csv(tmp_path / "differences.csv")
+    assert list(told["what"]) == ["w1"] and told["condition p_value"][0] == 2.0 and told["b"][0] == 6.0
+    assert set(pd.read_csv(tmp_path / "summary.csv")["condition"]) == set(names)
 
 
 def test_what_differs_is_told_first():
