@@ -10,6 +10,7 @@ from napari_mufasa.compare.baselines import (
     TwoState,
     largest_of_a_trace,
     poisson_emission,
+    poisson_image,
     poisson_mean_photons,
     sofi_emission,
     tool_defaults,
@@ -30,6 +31,22 @@ def test_poisson_mean_and_variance():
     n = emission.size
     assert emission.mean() == pytest.approx(mean, abs=4 * np.sqrt(mean / n))
     assert emission.var() == pytest.approx(mean, rel=4 * np.sqrt((2 + 1 / mean) / n))
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.25, 0.0])
+def test_poisson_light_keeps_in_the_image_what_the_model_s_keeps(kept):
+    """Baseline and model of molecules never dark are the same light, and so are their movies' inputs."""
+    from napari_mufasa.compare.simulated import acquisitions
+
+    never_dark = {"fluorophore.cycles_before_bleaching": None, "optics.emission_noise": kept}
+    model = nm.preset("FF").with_values(never_dark)
+    made = acquisitions(model, np.full((200, 2), 20.0), 1)
+    mean, n = poisson_mean_photons(model), 200 * model.acquisition.n_frames
+    for name in ("mufasa", "poisson"):
+        photons = made[name].photons
+        assert photons.mean() == pytest.approx(mean, abs=4 * np.sqrt(mean / n))
+        assert photons.var() == pytest.approx(kept * mean, rel=4 * np.sqrt(2 / n), abs=0.02 * mean * (kept == 0))
+    assert poisson_image(model, 3, np.random.default_rng(0)).shape == (3, model.acquisition.n_frames)
 
 
 def test_sofi_dwell_times_duty_and_constant_light():

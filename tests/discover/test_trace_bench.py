@@ -144,6 +144,24 @@ def test_a_right_model_is_adequate(believed):
     assert report.model.optics.brightness_correction == pytest.approx(1.0, rel=0.05)
 
 
+def test_a_right_model_is_adequate_where_no_pixel_holds_all_the_light():
+    """Of 240 photoelectrons on an EMCCD whose converter ends at 96: simulated in one pixel they were 128."""
+    strong = {
+        "excitation.power_density_w_per_cm2": 8.0, "fluorophore.cycles_before_bleaching": 5e4,
+        "acquisition.n_frames": 60,
+    }  # fmt: skip
+    model = nm.preset("FF").with_values(strong)
+    field = FarApart(model.sigma_px, 96, Options(psf_sigma_px=model.sigma_px), 9)  # images, and what is read of them
+    traces = field.traces(field.acquisition(model, 9))
+    report = diagnose_traces(traces, model, effects=["photobleaching", "brightness_heterogeneity"], seed=1)
+    assert report.verdict == "adequate" and report.error["before"] < 1.5 * report.error["floor"]
+    assert not any("cut off" in note for note in report.notes)
+    # Eight times the light fills the brightest pixel, too: a tenth of 1920 photoelectrons, and 18 of background.
+    brighter = model.with_values({"excitation.power_density_w_per_cm2": 64.0})
+    bench = TraceBench(field.traces(field.acquisition(brighter, 9)), brighter)
+    assert any("the camera believed ends at 96" in note for note in bench.notes)
+
+
 def test_candidates_are_what_a_lone_trace_can_show():
     kinds = candidate_kinds()
     assert {"photobleaching", "triplet_blinking", "laser_flicker", "background_decay"} <= set(kinds)

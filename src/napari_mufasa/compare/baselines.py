@@ -27,6 +27,13 @@ def poisson_emission(model: Model, n_molecules: int, rng: np.random.Generator) -
     return np.asarray(rng.poisson(poisson_mean_photons(model), shape), dtype=np.int64)
 
 
+def poisson_image(model: Model, n_molecules: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """The same as images are made of it: with the share of its noise that the model's optics keep in the image."""
+    mean = poisson_mean_photons(model)
+    kept = float(np.sqrt(model.optics.emission_noise))
+    return np.asarray(mean + kept * (poisson_emission(model, n_molecules, rng) - mean), dtype=np.float64)
+
+
 @dataclass(frozen=True)
 class TwoState:
     """The model of SOFI Simulation Tools. Times in s (inf: never); photons per frame while on."""

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,11 +15,12 @@ from napari_mufasa import camera as detector
 from napari_mufasa.chance.streams import Streams
 from napari_mufasa.compare.baselines import (
     largest_of_a_trace,
-    poisson_emission,
+    poisson_image,
     sofi_emission,
     tool_defaults,
     two_state_of,
 )
+from napari_mufasa.denoise.pipeline import read_variance
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.optics.gaussian import pixel_shares
@@ -64,7 +65,7 @@ def acquisitions(
     poisson = SimulatedAcquisition(plain, positions_px, seed + 1)
     sofi = SimulatedAcquisition(plain, positions_px, seed + 2)
     n = len(positions_px)
-    poisson.record_instead(poisson_emission(model, n, Streams(seed + 1).of("poisson baseline")))
+    poisson.record_instead(poisson_image(model, n, Streams(seed + 1).of("poisson baseline")))
     timing = model.acquisition
     largest = largest_of_a_trace(mufasa.emission)
     tool = sofi_times == "tool"
@@ -163,11 +164,11 @@ class FarApart:
             return extract_simulated(acquisition, self.options, self.positions_px, cancel).all_traces
         weighing, background = self.weighing, self._background(acquisition)
         light = self._light(acquisition) * (weighing.share / weighing.excess).astype(np.float32)[:, None]
-        signal = _detected(acquisition, light, read_noise=False) * weighing.excess.astype(np.float32)[:, None]
+        signal = _detected(acquisition, light, alone=True) * weighing.excess.astype(np.float32)[:, None]
         camera = acquisition.model.camera
-        gain = float(camera.em_gain or 1.0)
         level_e = camera.quantum_efficiency * background + camera.clock_induced_charge_e
-        variance = detector.multiplication_noise(camera) * level_e + (camera.read_noise_e / gain) ** 2
+        variance = detector.multiplication_noise(camera) * level_e
+        variance += read_variance(level_e.mean(keepdims=True), camera)
         if not self.options.subtract_background:
             signal = signal + level_e * weighing.weight[:, None]
         noise = acquisition.scene.streams.of("noise of the weights").standard_normal(signal.shape)
@@ -233,14 +234,25 @@ def background_weight(sigma_px: float, options: Options) -> float:
 
 
 def _detected(
-    acquisition: SimulatedAcquisition, light: NDArray[np.float32], read_noise: bool = True
+    acquisition: SimulatedAcquisition, light: NDArray[np.float32], *, alone: bool = False
 ) -> NDArray[np.float32]:
-    """Photoelectrons (molecule, frame) that the camera makes of photons, one pixel per molecule."""
-    scene, camera = acquisition.scene, acquisition.model.camera
-    if not read_noise:
+    """Photoelectrons (molecule, frame) that the camera makes of photons, one pixel per molecule. `alone`: of a pixel
+    that stands for all of a trace, without spurious charge, read noise and converter: no real pixel has all the light,
+    nor its end of the scale."""
+    scene, camera, sensor = acquisition.scene, acquisition.model.camera, acquisition.scene.sensor
+    output: list[detector.Stack] = []
+    if alone:
+
+        def keep(electrons: detector.Stack, frames: NDArray[np.int64]) -> detector.Stack:
+            output.append(electrons.copy())
+            return electrons
+
         camera = camera.model_copy(update={"read_noise_e": 0.0, "clock_induced_charge_e": 0.0})
-    before = scene.sensor.memory_frames  # in the light of the first
+        sensor = replace(sensor, output=[*sensor.output, keep])
+    before = sensor.memory_frames  # in the light of the first
     image = np.pad(light.T[:, None], ((before, 0), (0, 0), (0, 0)), mode="edge").astype(np.float32)
     numbers = scene.numbers(np.arange(-before, scene.n_frames))
-    adu = detector.expose(image, camera, scene.streams, numbers, scene.sensor)[before:]
-    return detector.photoelectrons(adu, camera)[:, 0].T
+    adu: NDArray[Any] = detector.expose(image, camera, scene.streams, numbers, sensor)
+    if alone:  # half a count less, as the floor takes it on average
+        adu = output[0] / np.float32(camera.electrons_per_adu) + detector.baseline_map_adu(camera) - np.float32(0.5)
+    return detector.photoelectrons(adu[before:], camera)[:, 0].T

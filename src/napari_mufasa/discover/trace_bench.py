@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_mufasa.camera import photoelectrons
+from napari_mufasa.camera.readout import without_readout
 from napari_mufasa.compare.comparison import described, to_photoelectrons
 from napari_mufasa.compare.fit import background_level_e, fit_gain
 from napari_mufasa.compare.simulated import FarApart
@@ -120,6 +122,7 @@ class TraceBench(Bench[TraceNumbers]):
         sigma = model.sigma_px
         fields = [FarApart(sigma, n, options, seed * FIELDS + k, pixel_share, quick=True) for k in range(FIELDS)]
         eyes = Eyes.of(electrons, background_subtracted)
+        notes += _cut_off(fields[0], start, _level(electrons), background_subtracted)
         self._simulated = SimulatedTables(tuple(fields), eyes, photoelectrons_per_adu(start))
         self._electrons, self._matching_seed, self._level = electrons, MATCHING_SEED + 97 * seed, _level(electrons)
         self._quantiles, self._floors = _quantiles(electrons), _floors(electrons, np.random.default_rng(seed))
@@ -205,6 +208,25 @@ def _affordable(electrons: Array) -> tuple[Array, list[str]]:
     if n <= most:
         return electrons, []
     return electrons[:most], [f"The first {most} of {n} traces were used."]
+
+
+def _cut_off(field: FarApart, model: Model, level_e: float, background_subtracted: bool) -> list[str]:
+    """What a simulation of apertures without images has not: the end of the camera's scale, in words."""
+    if field.weighing is None:
+        return []
+    background_e = background_level_e(model)
+    held_e = 0.0 if background_subtracted else background_e * float(field.weighing.weight.mean())
+    light_e = (level_e - held_e) / float(field.weighing.share.mean())
+    peak_e = background_e + light_e * float(field.shares.mean())
+    camera = model.in_shape(maps=None).camera
+    full_e = float(photoelectrons(np.full((1, 1, 1), camera.adc_max), without_readout(camera))[0, 0, 0])
+    if peak_e < full_e:
+        return []
+    return [
+        f"The brightest pixel of a usual molecule has {peak_e:.0f} photoelectrons, the camera believed ends at "
+        f"{full_e:.0f}: such traces are cut off, and simulated ones are not, so that what is found may be the camera's "
+        "doing."
+    ]
 
 
 def _with_light(model: Model, brightness: float, background_photons: float | None) -> Model:
