@@ -146,29 +146,32 @@ def compare_movie(
     # Few molecules of unequal brightness are few samples: several movies make the model's W1, and a fit, steadier.
     repeats = int(np.clip(ENOUGH_MOLECULES // int(measured.kept.sum()), 1, MOST_MOVIES))
 
-    def simulate(candidate: Model, first_seed: int = seed, but: int = 0) -> list[NDArray[np.float32]]:
+    def simulate(candidate: Model, first_seed: int = seed, but: int = 0) -> list[TraceSet]:
         seeds = [first_seed + 1000 * i for i in range(but, repeats)]
         movies = (SimulatedAcquisition(candidate, _places(model, measured, each), each) for each in seeds)
-        return [extract_simulated(a, options, cancel=cancel).traces for a in movies]
+        return [extract_simulated(a, options, cancel=cancel) for a in movies]
 
     weight = 0.0 if options.subtract_background else background_weight(measured.sigma_px, options)
+
+    def above(found: TraceSet, level_e: float) -> TraceSet:
+        return replace(found, traces=found.traces - weight * level_e)
+
     pedestal_e = weight * background_level_e(model)
     samples = {"measured": _sample(measured.traces, weight * measured.background_e)}
     for name, acquisition in acquisitions(model, places, seed, sofi_times).items():
-        traces = [extract_simulated(acquisition, options, cancel=cancel).traces]
-        samples[name] = _sample(
-            np.concatenate(traces + (simulate(model, but=1) if name == "mufasa" else [])), pedestal_e
-        )
+        found = [extract_simulated(acquisition, options, cancel=cancel)]
+        found += simulate(model, but=1) if name == "mufasa" else []
+        samples[name] = _sample(np.concatenate([each.traces for each in found]), pedestal_e)
         steps.done()
     fitted = None
     if fit:
-        above = replace(measured, traces=measured.traces - weight * measured.background_e)
         fitted = fit_model(
-            above, model, lambda candidate: np.concatenate(simulate(candidate)) - weight * background_level_e(candidate)
-        )
+            above(measured, measured.background_e), model,
+            lambda candidate: [above(found, background_level_e(candidate)) for found in simulate(candidate)],
+        )  # fmt: skip
         steps.done()
         # Another seed than the fit used: the fit must not profit from its own chance.
-        again = np.concatenate(simulate(fitted.model, seed + 10))
+        again = np.concatenate([found.traces for found in simulate(fitted.model, seed + 10)])
         samples["fitted"] = _sample(again, weight * background_level_e(fitted.model))
         steps.done()
     notes = measured.notes + tuple(

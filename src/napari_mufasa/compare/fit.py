@@ -1,21 +1,22 @@
 """A quick fit by moments: what a comparison needs so that a wrong brightness is not read as wrong physics.
 
-Fitted in this order, each from one number of the traces: background (local background level), bleaching (share of
-molecules bleached by the end), brightness (mean on level), spread of brightness (spread of on levels beyond that of
-the simulation); last, the brightness that makes W1 smallest. The elaborate fit, with every effect and its evidence,
-is `discover`.
+Fitted in this order, each from one number of the traces: background (local background level), bleaching (how often
+light ends for good, beyond the simulation), brightness (mean on level), spread of brightness (spread of on levels
+beyond that of the simulation); last, the brightness that makes W1 smallest. The elaborate fit, with every effect and
+its evidence, is `discover`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.camera.detector import multiplication_noise
+from napari_mufasa.compare.baselines import two_state_of
 from napari_mufasa.effects import effect_from_data
 from napari_mufasa.model.model import Model
 from napari_mufasa.photophysics.rates import FEW_EVENTS, most_per_s
@@ -49,27 +50,35 @@ def fit_model(
 ) -> Fit:
     """Fit brightness, background, bleaching rate and spread of brightness by moments (docs/comparison.md).
 
-    `simulate` gives the traces (molecule, frame) of a model through the same chain as the measurement.
+    `simulate` gives what a model shows through the same chain as the measurement: traces (molecule, frame), or, where
+    they were extracted, one or more trace sets.
     """
     values: dict[str, float] = {}
-    fitted = model
-    if isinstance(measured, TraceSet):
-        fitted = _with_background(fitted, measured.background_e, values)
-    real = _moments(measured)
-    rate, notes = _bleaching_rate(measured, model)
-    if rate is not None:
-        fitted = _with_bleaching(fitted, rate, values)
+    fitted, interval_s = model, model.acquisition.interval_s
+    real, real_ends = _moments(_light(measured)), Ends.of(measured)
+    rate = _bleaching_rate(model)
+    if real_ends.molecules:
+        values["photobleaching.rate_per_s"] = rate
     for i in range(rounds):
-        traces = np.asarray(simulate(fitted))
+        shown, last = simulate(fitted), i == rounds - 1
+        traces = _light(shown)
         made = _moments(traces)
+        if isinstance(measured, TraceSet) and not last:
+            level_e = background_level_e(fitted)
+            fitted = _with_background(
+                fitted, level_e + measured.background_e - _read_background(shown, level_e), values
+            )
         if made.n == 0:  # nothing detected: brighten until something is
             fitted = _brightened(fitted, 2.0, values)
             continue
-        last = i == rounds - 1
-        fitted = _brightened(fitted, _nearest_scale(measured, traces) if last else real.level / made.level, values)
+        scale = _nearest_scale(_light(measured), traces) if last else real.level / made.level
+        fitted = _brightened(fitted, scale, values)
         if made.n > 1 and not last:
             fitted = _with_spread(fitted, real.spread**2 - made.spread**2, values)
-    return Fit(fitted, values, notes)
+        if more := real_ends.more_often_than(Ends.of(shown)):
+            rate = max(0.0, rate + more / interval_s)
+            fitted = _with_bleaching(fitted, rate, values)
+    return Fit(fitted, values, real_ends.notes(interval_s))
 
 
 def fit_raw_traces(
@@ -99,7 +108,7 @@ def fit_raw_traces(
     a, k = (float(v) for v in curve_fit(curve, t, course - b, p0=start, bounds=((0, 0), (np.inf, 20)))[0])
     fitted = _with_background(model, b / weight, values)
     fitted = _with_bleaching(fitted, k / (n_frames * model.acquisition.interval_s), values)
-    notes = _bleaching_rate(measured - b, model)[1]
+    notes = Ends.of(measured - b).notes(model.acquisition.interval_s)
     remaining, slow = float(np.mean(np.exp(-k * t))), _slow_variances(measured)
     for i in range(rounds + 1):
         made: NDArray[np.float64] = np.asarray(simulate(fitted), dtype=np.float64)
@@ -188,10 +197,25 @@ def _beyond_chance(one: NDArray[np.float64], other: NDArray[np.float64]) -> floa
     return more if abs(more) > CHANCE_SD * error else 0.0
 
 
-def _nearest_scale(measured: Any, made: NDArray[np.floating]) -> float:
+def _light(shown: Any) -> NDArray[np.floating]:
+    """Traces (molecule, frame) of an array, or of one or more trace sets."""
+    if isinstance(shown, TraceSet):
+        return shown.traces
+    if isinstance(shown, list):
+        return np.concatenate([found.traces for found in shown])
+    return np.asarray(shown)
+
+
+def _read_background(shown: Any, level_e: float) -> float:
+    """Photoelectrons per pixel that extraction finds in a simulation with this level; of traces alone, that level."""
+    if isinstance(shown, TraceSet):
+        return shown.background_e
+    return float(np.mean([found.background_e for found in shown])) if isinstance(shown, list) else level_e
+
+
+def _nearest_scale(measured: NDArray[np.floating], made: NDArray[np.floating]) -> float:
     """The factor by which simulated traces come nearest to the measured ones in W1 over frames."""
-    real = np.asarray(getattr(measured, "traces", measured), dtype=np.float64).ravel()
-    ordered = [np.sort(values, axis=None) for values in (real, made)]
+    ordered = [np.sort(np.asarray(values, dtype=np.float64), axis=None) for values in (measured, made)]
     at = (np.arange(QUANTILES) + 0.5) / QUANTILES
     target, source = (values[(at * len(values)).astype(int)] for values in ordered)
     factors = np.geomspace(0.5, 2.0, 141)
@@ -206,8 +230,8 @@ class _Moments:
     spread: float  # relative, between molecules
 
 
-def _moments(traces: Any) -> _Moments:
-    array = np.asarray(traces.traces if isinstance(traces, TraceSet) else traces, dtype=float)
+def _moments(traces: NDArray[np.floating]) -> _Moments:
+    array = np.asarray(traces, dtype=float)
     if len(array) == 0:
         return _Moments(0, 0.0, 0.0)
     dyn: Dynamics = dynamics(array)
@@ -217,31 +241,65 @@ def _moments(traces: Any) -> _Moments:
     return _Moments(len(on), float(on.mean()), float(on.std() / on.mean()))
 
 
-def _bleaching_rate(measured: Any, model: Model) -> tuple[float | None, tuple[str, ...]]:
-    """The rate, 1/s, at which as many of the molecules seen have bleached by the end of the movie as were found to, and
-    what the measurement does not tell of it. None, where no molecule tells anything, keeps what is believed.
+@dataclass(frozen=True)
+class Ends:
+    """How often the light of molecules ends and does not come back: of so many molecules `events`, in the `frames` that
+    all of them were watched until then, or until the movie's end.
 
-    A molecule seen in a window before it bleached could not have bleached earlier: the movie is shorter by the window.
-    One that is dark from the first frame on, as a table of traces may hold, was never seen and says nothing.
+    They are bleachings and the dark times that the movie's end cuts off, which only a simulation tells apart. A
+    molecule that must shine for some frames to be seen, or for a window to be kept, could not have bleached in them:
+    they are not counted. One that is dark from the first frame on, as a table of traces may hold, says nothing.
     """
-    interval_s, window = model.acquisition.interval_s, 0
-    if isinstance(measured, TraceSet):
-        whole, window = measured.all_traces[measured.kept], measured.options.window or 0
-        bleached = measured.molecules["bleaching_frame"].to_numpy()[measured.kept] >= 0
-    else:
-        whole = np.asarray(measured, dtype=float)
-        dyn = dynamics(whole)
-        seen = (dyn.snr >= Choice.min_snr) & (dyn.lit.sum(axis=1) >= Choice.min_lit_frames)
-        bleached = dyn.bleaching_frame[seen] >= 0
-    n, n_frames = len(bleached), whole.shape[1] - window
-    if n == 0 or n_frames < 1:
-        return None, ("no molecule tells how fast they bleach",)
-    share = min(float(bleached.mean()), 1 - 0.5 / n)
-    rate, events = float(-np.log1p(-share) / (n_frames * interval_s)), int(bleached.sum())
-    if events >= FEW_EVENTS:
-        return rate, ()
-    most = most_per_s(events, (n - events / 2) * n_frames * interval_s)
-    return rate, (f"{events} of {n} molecules bleach: their rate is hardly known, it may be up to {most:.3g} 1/s",)
+
+    molecules: int
+    events: int
+    frames: float
+
+    @classmethod
+    def of(cls, shown: Any) -> Ends:
+        """Of traces (molecule, frame), or of one or more trace sets."""
+        if isinstance(shown, list):
+            each = [cls.of(found) for found in shown]
+            return cls(*(sum(getattr(ends, f.name) for ends in each) for f in fields(cls)))
+        least = Choice.min_lit_frames
+        if isinstance(shown, TraceSet):
+            n_frames, least = shown.all_traces.shape[1], max(shown.options.window or 0, shown.options.min_lit_frames)
+            ends = shown.molecules["bleaching_frame"].to_numpy()[shown.kept]
+        else:
+            n_frames = np.shape(shown)[1]
+            dyn = dynamics(np.asarray(shown, dtype=float))
+            ends = dyn.bleaching_frame[(dyn.snr >= Choice.min_snr) & (dyn.lit.sum(axis=1) >= least)]
+        if n_frames <= least:
+            return cls(0, 0, 0.0)
+        watched = np.maximum(np.where(ends >= 0, ends, n_frames) - least, 0) + 0.5  # ends are amid a frame
+        return cls(len(ends), int(np.count_nonzero(ends >= 0)), float(watched.sum()))
+
+    def more_often_than(self, other: Ends) -> float:
+        """Ends per frame beyond those of another, less what of it chance makes: nothing within a standard error."""
+        if not self.frames or not other.frames:
+            return 0.0
+        more = self.events / self.frames - other.events / other.frames
+        common = (self.events + other.events) / (self.frames + other.frames)
+        by_chance = common * (1 / self.frames + 1 / other.frames)
+        return more * (1 - by_chance / more**2) if more**2 > by_chance else 0.0
+
+    def notes(self, interval_s: float) -> tuple[str, ...]:
+        """What the measurement does not tell of bleaching."""
+        if not self.frames:
+            return ("no molecule tells how fast they bleach",)
+        if self.events >= FEW_EVENTS:
+            return ()
+        most = most_per_s(self.events, self.frames * interval_s)
+        return (
+            f"{self.events} of {self.molecules} molecules bleach: their rate is hardly known, it may be up to "
+            f"{most:.3g} 1/s",
+        )
+
+
+def _bleaching_rate(model: Model) -> float:
+    """Bleachings per second of light that a model has, by its cycles and by the effect."""
+    by_effect = sum(e.rate_per_s for e in model.effects if e.kind == "photobleaching")  # type: ignore[attr-defined]
+    return 1 / two_state_of(model, 1.0).bleach_s + by_effect
 
 
 def _with_background(model: Model, background_e: float, values: dict[str, float]) -> Model:
@@ -252,15 +310,14 @@ def _with_background(model: Model, background_e: float, values: dict[str, float]
 
 
 def _with_bleaching(model: Model, rate_per_s: float, values: dict[str, float]) -> Model:
-    """Bleaching at this rate in the time of the movie; the model's own bleaching is replaced."""
+    """Bleaching at this rate, also between frames, where the light stays on; the model's own is replaced."""
     values["photobleaching.rate_per_s"] = rate_per_s
     plain = model.with_values({"fluorophore.cycles_before_bleaching": None})
     kept = tuple(effect for effect in plain.effects if effect.kind != "photobleaching")
     plain = plain.model_copy(update={"effects": kept})
     if rate_per_s <= 0:
         return plain
-    lit_share = model.acquisition.frame_length_s / model.acquisition.interval_s
-    return plain.with_effects(effect_from_data({"kind": "photobleaching", "rate_per_s": rate_per_s / lit_share}))
+    return plain.with_effects(effect_from_data({"kind": "photobleaching", "rate_per_s": rate_per_s}))
 
 
 def _brightened(model: Model, ratio: float, values: dict[str, float]) -> Model:
