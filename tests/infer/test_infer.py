@@ -69,6 +69,20 @@ def test_counts_without_their_background_have_no_baseline():
         assert two.value == pytest.approx(one.value, rel=1e-3)
 
 
+def test_counts_coarser_than_the_noise_are_told():
+    """A count of the preset Blinking is 20.74 electrons, of which a dark pixel's noise is a fifth: such light is read
+    up to a quarter too bright, whatever the interval says. With a finer converter, or a register, it is right."""
+    model = nm.preset("Blinking")
+    traces = np.random.default_rng(0).poisson(0.9 * nm.simulate_emission(model, 60, seed=3)).astype(float)
+    traces += np.random.default_rng(1).normal(0, 15, traces.shape)
+    for epa, told in ((20.74, True), (8.5, True), (7.5, False), (1.0, False)):  # noise 4.1: √(0.9² · 18 + 1.58²)
+        found = nm.infer_photophysics(traces, model.with_values({"camera.electrons_per_adu": epa}))
+        assert any("rounding is not right on average" in note for note in found.notes) == told
+    register = nm.preset("FF").camera.model_copy(update={"electrons_per_adu": 20.74})
+    found = nm.infer_photophysics(traces, model.model_copy(update={"camera": register}))
+    assert not any("rounding" in note for note in found.notes)
+
+
 def test_a_background_in_the_traces_is_no_light_of_molecules(tmp_path):
     """One pixel of each, as a TIFF of counts holds it: with 10 photoelectrons of background the level was twice the
     right one, and no bleaching was told. 4 sd: by chance once in 16 000."""

@@ -27,6 +27,7 @@ LEAST_MOLECULES = 5
 EVIDENCE = 6.9  # log likelihood that a dark state must add: chance 1 in 1000 with its two rates where there is none
 FAST = 1.0  # switches per frame from which on they show as a dimmer, noisier level
 SURE_SD = 1.0  # above the threshold of detection, from where on most molecules are found
+DITHERED = 0.5  # counts of noise from which on rounding to whole counts is right on average, to 0.002 of a count
 UNCERTAIN = 1.5  # sd of a logarithm from which on a number is not known
 
 
@@ -159,7 +160,7 @@ def infer_photophysics(
         )
     if not blinks:
         unknown["isc_ratio"] = "the traces show no dark state between bright frames" + _limit(best, problem)
-    notes += _cannot_be_told(model, best)
+    notes += _coarse_counts(model) + _cannot_be_told(model, best)
     return Photophysics(_model(model, values, blinks, notes), values, unknown, tuple(notes), len(electrons))
 
 
@@ -286,6 +287,25 @@ def _limit(best: Fitted, problem: Problem) -> str:
     _, level, offset, _ = unpacked(best.names, best.point)
     bright_s = float(np.sum(problem.traces - offset)) / level * (problem.frame_s + problem.dead_s)
     return f" (in {bright_s:.3g} s of light)" if bright_s > 0 else ""
+
+
+def _coarse_counts(model: Model) -> list[str]:
+    """What a converter does to light whose noise does not reach from one of its counts to the next, in words."""
+    from napari_mufasa.camera import cmos_response, multiplication_noise
+    from napari_mufasa.compare.fit import background_level_e
+
+    camera = model.in_shape(maps=None).camera
+    slope = float(camera.em_gain or 1.0) if camera.type == "EMCCD" else 1.0
+    if camera.type == "CMOS":
+        slope = float(cmos_response(np.ones(1, np.float32), camera)[0])
+    noise_e = np.hypot(slope * np.sqrt(multiplication_noise(camera) * background_level_e(model)), camera.read_noise_e)
+    if noise_e >= DITHERED * camera.electrons_per_adu:
+        return []
+    return [
+        f"a count of the camera believed is {camera.electrons_per_adu:.4g} electrons, the noise of a pixel beside the "
+        f"molecules {noise_e:.2g}: such rounding is not right on average, and level and k01 are off by more than their "
+        "intervals say; more background or a finer converter (gain) helps"
+    ]
 
 
 def _cannot_be_told(model: Model, best: Fitted) -> list[str]:
