@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ Threshold = Literal["sigma", "percentile", "otsu", "triangle"]
 THRESHOLDS: tuple[Threshold, ...] = ("sigma", "percentile", "otsu", "triangle")
 NOISE_SD = 6.0  # of the "sigma" threshold
 LEAST_PROMINENCE = 0.2  # of a peak in every direction; isolated spots have 0.3 … 0.7, edges 0.1 ± 0.06
+LEAST_BESIDE = 0.1  # of a pixel's height: so bright are the four beside a spot's top; the narrowest spot's have 0.2
+SOLID = 0.8  # of the pixels beside one that changes: so many change in a field of view, where light is not scarce
+BESIDE = np.array([[0.0, 0.25, 0.0], [0.25, 0.0, 0.25], [0.0, 0.25, 0.0]])  # the four beside
 
 
 @dataclass(frozen=True)
@@ -162,17 +165,24 @@ def estimate_sigma_px(frames: Frames, n_spots: int = 40) -> float | None:
 
     A spot of variance v = σ² + 1/12 (a pixel's own) answers blur(s) − blur(s') with 1/(v+s²) − 1/(v+s'²): σ is the
     width whose answers are most nearly parallel to those of the spots at their tops, over all scales first, then over
-    those up to twice the width, which neighbours do not reach.
+    those up to twice the width, which neighbours do not reach. Light has passed the optics: what is a single pixel, an
+    edge or a line, or never changes, tells nothing of their width.
     """
     n = min(frames.n_frames, max(1, min(50, frames.block_frames())))
-    image = frames.photoelectrons(np.asarray(frames.movie[:n])).mean(axis=0)
+    counts = np.asarray(frames.movie[:n])
+    live = _live(counts)
+    image = _of_light(frames.photoelectrons(counts), live)
     scales = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6])
     blurs = [ndimage.gaussian_filter(image, s) for s in [*scales, scales[-1] * np.sqrt(2)]]
     responses = np.stack([(a - b) * s**2 for a, b, s in zip(blurs, blurs[1:], scales, strict=False)])
-    noise = np.array([lower_spread(r) for r in responses])
+    noise = np.array([lower_spread(r[live]) for r in responses])
     ratio = responses / np.maximum(noise, 1e-12)[:, None, None]
     best = ratio.max(axis=0)
-    peaks = candidates(best, 1.4)
+    peaks = candidates(best, 1.4, spread=lower_spread(best[live]))
+    at = ratio[:, *peaks.T]
+    out = np.stack([prominence(r, peaks.astype(float), s) for r, s in zip(ratio, scales, strict=True)])
+    stands = ((out >= LEAST_PROMINENCE) & (at >= 0.5 * at.max(axis=0))).any(axis=0)  # at the scale of any spot there
+    peaks = peaks[stands]
     if len(peaks) == 0:
         return None
     chosen = peaks[np.argsort(-best[tuple(peaks.T)])[:n_spots]]
@@ -188,6 +198,31 @@ def estimate_sigma_px(frames: Frames, n_spots: int = 40) -> float | None:
 
     first = nearest(len(scales))
     return nearest(max(3, int(np.count_nonzero(scales <= 2 * first))))
+
+
+def _live(counts: NDArray[Any]) -> NDArray[np.bool_]:
+    """(y, x) False for pixels of a stack (frame, y, x) that never change: a margin of zeros, dead and saturated ones.
+    In a single frame, or one that is repeated: those that are as all around. Where hardly any changes, light is scarce:
+    all are True."""
+    live = counts.max(axis=0) > counts.min(axis=0)
+    if not live.any():
+        live = ndimage.maximum_filter(counts[0], 3) > ndimage.minimum_filter(counts[0], 3)
+    beside = ndimage.uniform_filter(live.astype(np.float32), 3)[live]
+    return live if beside.size and beside.mean() > SOLID else np.ones_like(live)
+
+
+def _of_light(stack: NDArray[np.float32], live: NDArray[np.bool_]) -> Image:
+    """Mean (y, x) of photoelectrons (frame, y, x) as light that has passed the optics makes it: pixels that are not
+    `live` show the nearest that is, one that stands out alone, as no spot does, shows the median around it."""
+    image = stack.mean(axis=0)
+    if not live.all():
+        image = image[tuple(ndimage.distance_transform_edt(~live, return_distances=False, return_indices=True))]
+    around = ndimage.median_filter(image, 5)
+    above = image - around
+    beside = ndimage.convolve(image, BESIDE, mode="mirror") - around
+    # So many sd, those of its own photons among them: few photons may well miss the pixels beside.
+    clear = above > max(NOISE_SD * lower_spread(above[live]), NOISE_SD**2 / len(stack))
+    return np.asarray(np.where(clear & (beside < LEAST_BESIDE * above), around, image))
 
 
 def _tops(images: NDArray[np.floating], peaks: NDArray[np.int64]) -> NDArray[np.float64]:
