@@ -21,6 +21,7 @@ STANDS_OUT = 6.0  # robust sd of the correlation around it; noise alone has its 
 ONE_HILL = 2 / 3  # of the top: nothing else within reach comes so far, as pairs of other molecules do by chance
 LEAP_PX = 1.0  # so far the field moves from one time to the next if it leaps
 CLEAR = 4.0  # robust sd of a filtered image: spots above are clear
+GOES_ON = 3  # speeds next to either end of a path, of which the middle one goes on beyond it
 SEEN_PX = 0.3  # a common path that reaches farther is no noise
 
 
@@ -73,9 +74,15 @@ def common_motion(
 
 
 def between(path: Array, times: Array, n_frames: int) -> Array:
-    """(frame, 2) motion since the first frame, interpolated from a path (time, 2) known at some times in frames."""
+    """(frame, 2) motion since the first frame, interpolated from a path (time, 2) known at some times in frames; before
+    the first and after the last it goes on as it mostly does next to there."""
     t = np.arange(n_frames)
     motion = np.stack([np.interp(t, times, path[:, axis]) for axis in range(2)], axis=1)
+    if len(path) > 1:
+        speed = np.diff(path, axis=0) / np.diff(times)[:, None]
+        # The middle of some speeds: a leap, or one place that is off, is nothing that goes on.
+        first, last = (np.median(some, axis=0) for some in (speed[:GOES_ON], speed[-GOES_ON:]))
+        motion += np.minimum(t - times[0], 0)[:, None] * first + np.maximum(t - times[-1], 0)[:, None] * last
     return np.asarray(motion - motion[0])
 
 
