@@ -6,12 +6,17 @@ from scipy import ndimage
 
 import napari_mufasa as nm
 from napari_mufasa import optics
-from napari_mufasa.spots.drift import common_path
+from napari_mufasa.camera.frames import Frames
+from napari_mufasa.spots.aperture import background_slopes
+from napari_mufasa.spots.drift import between, common_path
 from napari_mufasa.spots.evidence import block_means
 from napari_mufasa.spots.filters import spot_filter
+from napari_mufasa.spots.find import estimate_sigma_px
 from napari_mufasa.spots.follow import find_and_follow
 from napari_mufasa.spots.kernels import fit_weights, moved_back
+from napari_mufasa.spots.locate import fit_places
 from napari_mufasa.spots.quantiles import quantiles
+from napari_mufasa.traces import extract_traces
 
 SIGMA, SCALE, BASELINE = 1.3, 0.1, 200.0
 SHAPE = (64, 64)
@@ -32,9 +37,13 @@ def grid():
     return np.stack(np.meshgrid(np.arange(10.2, 60, 14), np.arange(9.7, 60, 14), indexing="ij"), -1).reshape(-1, 2)
 
 
+CAMERA = nm.preset("PALM").camera.model_copy(update={"baseline_adu": BASELINE})
+# In which an ADU is a photoelectron / SCALE, so that levels are those of `movie_of`.
+IN_ELECTRONS = CAMERA.model_copy(update={"type": "CCD", "em_gain": None, "electrons_per_adu": SCALE})
+
+
 def measure(movie):
-    camera = nm.preset("PALM").camera.model_copy(update={"baseline_adu": BASELINE})
-    return find_and_follow(movie, camera, SCALE, SIGMA)
+    return find_and_follow(movie, CAMERA, SCALE, SIGMA)
 
 
 def match(found, truth):
@@ -190,3 +199,106 @@ def test_a_width_that_changes_from_frame_to_frame_is_told_in_each():
     assert (change[turn > 0].mean() - change[turn < 0].mean()) / 2 == pytest.approx(0.15, abs=0.02)
     shown = spots.shape[inside][:, :, :2].sum() / 2 / spots.shape_weight[inside].sum()
     assert change.mean() == pytest.approx(shown, abs=0.01)  # blocks and frames tell the same
+
+
+def width_of(movie, camera=IN_ELECTRONS):
+    return estimate_sigma_px(Frames(movie, camera))
+
+
+@pytest.mark.parametrize(("n", "height"), [(30, 60.0), (30, 200.0), (60, 200.0)])
+def test_hot_pixels_tell_nothing_of_the_width_of_the_psf(n, height):
+    # 16 spots whose brightest pixel has 56 e; one pixel in 70 is hot at most.
+    background = np.full(SHAPE, 9.0)
+    background.ravel()[np.random.default_rng(1).choice(background.size, n, replace=False)] += height
+    assert width_of(movie_of(600.0, grid(), background=background)) == pytest.approx(SIGMA, rel=0.04)
+
+
+@pytest.mark.parametrize("sigma", [0.6, 1.3, 2.0])
+@pytest.mark.parametrize("frames", [1, 60])
+def test_a_margin_that_never_changes_tells_nothing_of_the_width(sigma, frames):
+    movie = movie_of(1500.0, grid(), sigma=sigma, frames=frames)
+    alone = width_of(movie)
+    assert alone == pytest.approx(sigma, rel=0.07)
+    for margin in (1, 2, 10, 40):
+        wide = np.pad(movie, ((0, 0), (margin, margin), (margin, margin)))
+        assert width_of(wide) == pytest.approx(alone, rel=0.05)
+    dead = movie.copy()
+    dead[:, :, 30], dead[:, 12, 12:14] = 0, 65535
+    assert width_of(dead) == pytest.approx(alone, rel=0.05)
+
+
+def test_where_nothing_is_as_wide_as_light_no_width_is_told():
+    background = np.full(SHAPE, 9.0)
+    background.ravel()[::97] += 100
+    background[:, 40:] += 30
+    assert width_of(movie_of(0.0, grid(), background=background)) is None
+
+
+def test_light_that_is_scarce_is_no_margin():
+    """Three of four pixels have seen no photon: they are the field, too."""
+    movie = movie_of(20.0, grid(), background=0.001, frames=50)
+    assert np.mean(movie.max(axis=0) == movie.min(axis=0)) > 0.7
+    assert width_of(movie) == pytest.approx(SIGMA, rel=0.05)
+
+
+SLOPES = {"slope": (np.mgrid[:64, :64] * [[[2.0]], [[3.0]]]).sum(axis=0),
+          "hill": 200 * np.exp(-((np.mgrid[:64, :64] - 31.5) ** 2).sum(axis=0) / 2 / 40**2)}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SLOPES)
+def test_a_background_that_rises_draws_no_spot_uphill(name):
+    """By up to 0.3 px it did; each place is known to 0.02 px here."""
+    movie = movie_of(1000.0, grid(), background=5 + SLOPES[name], frames=60)
+    found = extract_traces(movie, IN_ELECTRONS, psf_sigma_px=SIGMA)
+    assert found.kept.all() and len(found.kept) == len(grid())  # none is wider than the PSF
+    _, index = match(found.positions_px, grid())
+    off = found.positions_px[index] - grid()
+    assert np.sqrt(np.mean(off**2)) < 0.035
+    image = (movie.mean(axis=0, dtype=np.float32) - BASELINE) * SCALE
+    pixel = np.rint(grid()).astype(int)
+    places, good = fit_places(image[None].astype(np.float32), np.zeros(len(pixel), int), pixel, SIGMA)
+    assert good.all() and np.sqrt(np.mean((places - grid()) ** 2)) < 0.035
+
+
+def test_a_plane_costs_hardly_any_precision_where_there_is_none():
+    """Noise of a slope that a whole ring tells moves the place by 1 % of what the noise beneath the spot does."""
+    rng = np.random.default_rng(6)
+    spot = optics.spot_images(np.array([[100.0]]), np.array([[[15.2, 14.9]]]), np.full((1, 2), SIGMA), (31, 31))
+    images = (spot + rng.normal(0, 1, (2000, 31, 31))).astype(np.float32)
+    at, pixel = np.arange(2000), np.full((2000, 2), 15)
+    with_plane, _ = fit_places(images, at, pixel, SIGMA)
+    without, _ = fit_places(images, at, pixel, SIGMA, slopes=np.zeros((2000, 2)))
+    assert with_plane.std(axis=0).mean() < 1.02 * without.std(axis=0).mean()
+
+
+def test_where_neighbours_leave_no_ring_no_slope_is_told():
+    """24 neighbours 6 px apart: what is left between them is their light."""
+    places = 40 + 6.0 * (np.indices((5, 5)).reshape(2, -1).T - 2)
+    image = optics.spot_images(np.full((1, 25), 400.0), places[None], np.full((1, 2), SIGMA), (80, 80))
+    image = np.float32(image + np.arange(80))
+    slopes = background_slopes(image, np.zeros(25, int), places, SIGMA)
+    np.testing.assert_array_equal(slopes[12], 0)
+
+
+@pytest.mark.parametrize("margin", [3, 4, 5, 6])
+def test_the_corner_of_a_margin_is_no_molecule(margin):
+    movie = np.pad(movie_of(600.0, grid(), frames=60), ((0, 0), (margin, margin), (margin, margin)))
+    found = extract_traces(movie, IN_ELECTRONS)
+    distance, _ = match(grid() + margin, found.positions_px[found.kept])
+    assert found.kept.sum() == len(grid()) and distance.max() < 0.3
+
+
+def test_a_path_goes_on_beyond_the_blocks_it_is_known_in():
+    t = np.arange(200)
+    truth = np.stack([0.04 * t, -0.03 * t], axis=1)
+    times = np.arange(2, 200, 5.0)
+    path = np.stack([np.interp(times, t, truth[:, axis]) for axis in range(2)], axis=1)
+    np.testing.assert_allclose(between(path - path[0], times, 200), truth, atol=1e-9)
+
+
+def test_a_leap_at_the_end_of_a_path_does_not_go_on():
+    times, path = np.arange(2, 50, 5.0), np.zeros((10, 2))
+    path[-1] = 5.0
+    motion = between(path, times, 50)
+    assert np.abs(motion[:43]).max() == 0 and motion.max() == 5.0
+    np.testing.assert_array_equal(between(path[:1], times[:1], 3), np.zeros((3, 2)))

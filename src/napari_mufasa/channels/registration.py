@@ -207,14 +207,14 @@ def _lone_spots(
     for _, block in frames.blocks(report=report, cancel=cancel):
         total += block.sum(axis=0, dtype=np.float64)
     mean = (total / frames.n_frames).astype(np.float32)
-    alone = seen.is_spot & (find.neighbour_px(seen.positions_px, seen.is_spot) >= find.isolation_px(sigma))
-    order = np.argsort(-seen.significance[alone], kind="stable")
-    start = seen.positions_px[alone][order]
-    pixel = np.clip(np.rint(start).astype(np.int64), 0, np.array(mean.shape) - 1)
+    start, last = seen.positions_px, np.array(mean.shape) - 1
+    pixel = np.clip(np.rint(start).astype(np.int64), 0, last)
     places, good = locate.fit_places(mean[None], np.zeros(len(pixel), np.int64), pixel, sigma, start - pixel)
-    inside = good & np.all((places >= sigma) & (places <= np.array(mean.shape) - 1 - sigma), axis=1)
+    alone = seen.is_spot & (find.neighbour_px(start, seen.is_spot) >= find.isolation_px(sigma))
+    inside = good & alone & np.all((places >= sigma) & (places <= last - sigma), axis=1)
+    clearest = np.argsort(-seen.significance, kind="stable")
     few = frames.n_frames < 2
-    return places[inside], 0.0 if few else drift.moved_px(seen.evidence.early, seen.evidence.late)
+    return places[clearest[inside[clearest]]], 0.0 if few else drift.moved_px(seen.evidence.early, seen.evidence.late)
 
 
 def _any_camera() -> Camera:

@@ -245,31 +245,41 @@ def walks(t, path, shares):  # type: ignore[no-untyped-def]
 
 
 @vectorised
-def ring_means(frame, positions, centre, lit, inner, outer, enough):  # type: ignore[no-untyped-def]
-    """Mean (candidate,) of the pixels of a frame (y, x) between two distances of each position (candidate, 2) that are
-    not `lit` (y, x); of all of them where fewer than `enough` are left, of the square around where there are none."""
+def ring_planes(frame, positions, centre, lit, inner, outer, enough, tells, doubt):  # type: ignore[no-untyped-def]
+    """(3, candidate) mean, and slopes along y and x, of the pixels of a frame (y, x) between two distances of each
+    position (candidate, 2) that are not `lit` (y, x); of all of them where fewer than `enough` are left, of the square
+    around where there are none. `tells` pixels and more of the first tell slopes, fewer none; `doubt` : see `aperture`
+    """
     height, width = frame.shape
     n = positions.shape[0]
-    result = np.zeros(n)
+    result = np.zeros((3, n))
     for i in range(n):
-        clean, ring, square = 0.0, 0.0, 0.0
-        n_clean, n_ring, n_square = 0, 0, 0
-        for y in range(max(centre[i, 0] - outer, 0), min(centre[i, 0] + outer + 1, height)):
-            for x in range(max(centre[i, 1] - outer, 0), min(centre[i, 1] + outer + 1, width)):
-                value = np.float64(frame[y, x])
-                square += value
-                n_square += 1
-                distance2 = (y - positions[i, 0]) ** 2 + (x - positions[i, 1]) ** 2
-                if inner * inner <= distance2 <= outer * outer:
-                    ring += value
-                    n_ring += 1
-                    if not lit[y, x]:
-                        clean += value
-                        n_clean += 1
-        if n_clean >= enough:
-            result[i] = clean / n_clean
-        elif n_ring > 0:
-            result[i] = ring / n_ring
-        elif n_square > 0:
-            result[i] = square / n_square
+        for attempt in range(3):
+            least, dark = (enough, True) if attempt == 0 else (1, False)
+            low, high = (inner, 1.0 * outer) if attempt < 2 else (0.0, 2.0 * outer)
+            count, v, y1, x1, yy, yx, xx, vy, vx = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for y in range(max(centre[i, 0] - outer, 0), min(centre[i, 0] + outer + 1, height)):
+                dy = y - positions[i, 0]
+                for x in range(max(centre[i, 1] - outer, 0), min(centre[i, 1] + outer + 1, width)):
+                    dx = x - positions[i, 1]
+                    if low * low <= dy * dy + dx * dx <= high * high and not (dark and lit[y, x]):
+                        value = np.float64(frame[y, x])
+                        count += 1
+                        v += value
+                        y1 += dy
+                        x1 += dx
+                        yy += dy * dy
+                        yx += dy * dx
+                        xx += dx * dx
+                        vy += value * dy
+                        vx += value * dx
+            if count >= least:
+                v, y1, x1 = v / count, y1 / count, x1 / count
+                result[0, i] = v
+                if dark and count >= tells:
+                    yy, xx, yx = yy - count * y1 * y1 + doubt, xx - count * x1 * x1 + doubt, yx - count * y1 * x1
+                    vy, vx = vy - count * v * y1, vx - count * v * x1
+                    result[1, i] = (xx * vy - yx * vx) / (yy * xx - yx * yx)
+                    result[2, i] = (yy * vx - yx * vy) / (yy * xx - yx * yx)
+                break
     return result

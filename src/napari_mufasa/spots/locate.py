@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from napari_mufasa.camera.frames import Frames
 from napari_mufasa.cluster import in_order
+from napari_mufasa.spots.aperture import background_slopes
 from napari_mufasa.spots.filters import border_noise, lower_spread, spot_filter
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ def locate(
     """Find and fit the spots around every frame of a movie, read once, block by block.
 
     A candidate is a local maximum of the spot filter in the mean of three frames, above `threshold_sigma` (4) robust sd
-    of that mean; its place, there and in the frame itself, is that of a Gaussian of the PSF's width on a constant,
+    of that mean; its place, there and in the frame itself, is that of a Gaussian of the PSF's width on a plane,
     fitted by least squares. Errors of the places in frames themselves are independent of each other.
     """
     level = THRESHOLD_SIGMA if threshold_sigma is None else threshold_sigma
@@ -74,10 +75,11 @@ class _Located:
         inner = slice(AVERAGED // 2, AVERAGED // 2 + n)
         means, means_filtered = _running_mean(images), _running_mean(filtered)
         frame, pixel, strength = _maxima(means_filtered, self.level, sigma_px)
-        place, good = fit_places(means, frame, pixel, sigma_px)
-        frame, place, strength = frame[good], place[good], strength[good]
+        slopes = background_slopes(means, frame, pixel.astype(np.float64), sigma_px)
+        place, good = fit_places(means, frame, pixel, sigma_px, slopes=slopes)
+        frame, place, strength, slopes = frame[good], place[good], strength[good], slopes[good]
         nearest = np.clip(np.rint(place).astype(np.int64), 0, np.array(images.shape[1:]) - 1)
-        own, seen = fit_places(images[inner], frame, nearest, sigma_px, place - nearest)
+        own, seen = fit_places(images[inner], frame, nearest, sigma_px, place - nearest, slopes)
         y, x = np.clip(np.rint(own).astype(np.int64), 0, np.array(images.shape[1:]) - 1).T
         seen &= filtered[inner][frame, y, x] > OWN_SIGMA * _noise(filtered[inner])[frame]
         return frame + first, place, strength, np.where(seen[:, None], own, np.nan)
@@ -123,13 +125,14 @@ def _maxima(filtered: NDArray[np.float32], level: float, sigma_px: float) -> tup
 
 def fit_places(
     images: NDArray[np.float32], frame: NDArray[np.int64], pixel: NDArray[np.int64], sigma_px: float,
-    start: Array | None = None,
+    start: Array | None = None, slopes: Array | None = None,
 ) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
-    """Places (spot, 2) of Gaussians on a constant around some pixels (spot, 2) of images (frame, y, x), and which of
+    """Places (spot, 2) of Gaussians on a plane around some pixels (spot, 2) of images (frame, y, x), and which of
     them are spots: brighter than their surroundings, and near the pixel.
 
     Least squares over amplitude, constant, y and x at the width of the PSF and a pixel, by Gauss and Newton, from
-    `start` (spot, 2) beside the pixel on.
+    `start` (spot, 2) beside the pixel on. The slopes (spot, 2) of the plane are those around each spot (None: see
+    `background_slopes`): beneath it they could hardly be told from its place.
     """
     if len(frame) == 0:
         return np.zeros((0, 2)), np.zeros(0, dtype=bool)
@@ -142,9 +145,12 @@ def fit_places(
     rows = (pixel[:, :1] + grid >= 0) & (pixel[:, :1] + grid < images.shape[1])
     columns = (pixel[:, 1:] + grid >= 0) & (pixel[:, 1:] + grid < images.shape[2])
     counts = (rows[:, :, None] & columns[:, None, :]).reshape(len(frame), -1)
-    values = patch.reshape(len(frame), -1)
     variance = sigma_px**2 + 1 / 12
     begin = np.zeros((len(frame), 2)) if start is None else start
+    if slopes is None:
+        slopes = background_slopes(images, frame, pixel + begin, sigma_px)
+    patch -= slopes[:, 0, None, None] * grid[:, None] + slopes[:, 1, None, None] * grid
+    values = patch.reshape(len(frame), -1)
     at, light = begin, np.zeros(len(frame))
     for _ in range(STEPS):
         dy, dx = grid - at[:, :1], grid - at[:, 1:]

@@ -35,7 +35,9 @@ class LitImages:
     """Accumulates, block by block, each molecule's image over the frames in which it shines.
 
     A frame counts with the molecule's mean signal in the frames before and after, never its own: so the
-    noise of the image is independent of its weight and does not draw the position towards the first guess.
+    noise of the image is independent of its weight and does not draw the position towards the first guess. The slope
+    of the background is taken off, which would draw it uphill; what would fall below no light within the window (the
+    corner of a margin of zeros) is none.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -51,6 +53,10 @@ class LitImages:
         flat = stack.reshape(len(stack), -1)
         for t in range(len(stack)):
             self.images += near[:, t, None] * (flat[t][opening.window] - backgrounds[:, t, None])
+        tilt = np.einsum("sit,it->is", opening.slopes(stack), near)
+        falls = (np.abs(tilt) * np.abs(opening.window_offset).max(axis=1)).sum(axis=1)
+        share = np.clip((near * backgrounds).sum(axis=1) / np.maximum(falls, 1e-12), 0, 1)
+        self.images -= share[:, None] * (tilt[:, None] * opening.window_offset).sum(axis=-1)
         weight = near.sum(axis=1)
         self.weight += weight
         # Apertures that follow a drift lie differently on the pixels each time: the mean offset keeps the centroid.
