@@ -44,7 +44,9 @@ def test_a_whole_extraction_in_one_hdf5_file(tmp_path):
         np.testing.assert_array_equal(file["all_traces"], found.all_traces)
         np.testing.assert_array_equal(file["molecules/y_px"], found.molecules["y_px"])
         assert [r.decode() for r in file["molecules/reason"]] == list(found.molecules["reason"])
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["molecules.csv", "traces.csv", "traces.h5"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "molecules.csv", "traces.csv", "traces.h5", "traces.provenance.json",
+    ]  # fmt: skip
 
 
 def test_bad_hdf5_is_named(tmp_path):
@@ -191,3 +193,27 @@ def test_what_is_no_openfret_is_told_in_one_line(tmp_path, text):
     with pytest.raises(MufasaError) as caught:
         read_trace_file(tmp_path / "t.json")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("profile", ["psf", "sum", "brightest_pixel"])
+@pytest.mark.parametrize("without", [True, False])
+def test_files_say_what_their_traces_hold(tmp_path, profile, without):
+    """CSV by the file beside it, HDF5 and OpenFRET by themselves; a table by another name has no companion."""
+    import napari_mufasa as nm
+    from napari_mufasa.traces import extract_traces
+    from napari_mufasa.traces.table import write_traces
+
+    model = nm.preset("FF").with_values({"acquisition.shape_px": (32, 32), "acquisition.n_frames": 30})
+    movie = nm.simulate(model, np.array([[10.0, 10.0], [22.0, 22.0]]), seed=1).movie
+    found = extract_traces(
+        movie, model.camera, psf_sigma_px=model.sigma_px, profile=profile, subtract_background=without, min_snr=0.0
+    )  # fmt: skip
+    write_traces(tmp_path, found, hdf5=True, openfret=True)
+    for name in ("traces.csv", "traces.h5", "traces.openfret.json"):
+        read = read_trace_file(tmp_path / name)
+        assert (read.profile, read.background_subtracted) == (profile, without), name
+        assert read.pixel_share == pytest.approx(found.pixel_share)
+    (tmp_path / "other.csv").write_bytes((tmp_path / "traces.csv").read_bytes())
+    assert read_trace_file(tmp_path / "other.csv").holds is None
+    (tmp_path / "traces.provenance.json").write_text('{"holds": {"traces.csv": {"profile": "rainbow"}}}')
+    assert read_trace_file(tmp_path / "traces.csv").profile == "psf"  # what is not told whole is not believed

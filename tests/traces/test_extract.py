@@ -494,3 +494,48 @@ def test_a_trace_holds_the_share_of_the_light_that_it_says(profile, sigma):
     ]
     error = 4 * np.std(held) / 1000 / np.sqrt(200)  # of the mean of 200 places: by chance once in 16 000
     assert held_share(profile, sigma) == pytest.approx(np.mean(held) / 1000, abs=error + 5e-4)  # the ring's own light
+
+
+def _lights(light, adc_max=65535, background_e=10.0):
+    """Counts (frame, y, x) of molecules 16 px apart, `light` (molecule, frame) photoelectrons, on a plain CCD; its
+    camera and their places."""
+    from napari_mufasa.optics.gaussian import pixel_shares
+
+    camera = nm.preset("PALM").camera.model_copy(
+        update={"read_noise_e": 2.0, "electrons_per_adu": 1.0, "baseline_adu": 100.0, "adc_max": adc_max}
+    )  # fmt: skip
+    rng, places = np.random.default_rng(0), _grid(80, 16)
+    y, x = np.mgrid[:80, :80]
+    shares = np.array([pixel_shares(y - p[0], x - p[1], 1.3).ravel() for p in places])
+    mean = (light.T @ shares).reshape(-1, 80, 80) + background_e
+    counts = np.floor(rng.poisson(mean) + rng.normal(0, 2.0, mean.shape)) + 100
+    return np.clip(counts, 0, adc_max).astype(np.uint16), camera, places
+
+
+def test_saturated_molecules_are_told():
+    """Ten of 25 saturate a camera of 8 bits in a half of 40 frames; none saturates one of 16."""
+    light = np.full((25, 40), 400.0)
+    light[:10, :20] = 4000.0
+    movie, camera, _ = _lights(light, 255)
+    (note,) = extract_traces(movie, camera, psf_sigma_px=1.3).notes
+    assert note.startswith("pixels of 10 molecules are saturated, in 50 % of their frames")
+    narrow = extract_traces(movie.astype(np.uint8), camera.model_copy(update={"adc_max": 65535}), psf_sigma_px=1.3)
+    assert narrow.notes == (note,)  # the end of the numbers, too
+    movie, camera, _ = _lights(light)
+    assert extract_traces(movie, camera, psf_sigma_px=1.3).notes == ()
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 3])
+def test_a_movie_of_few_frames_keeps_its_molecules(n_frames):
+    movie, camera, _ = _lights(np.full((25, n_frames), 3000.0))
+    found = extract_traces(movie, camera, psf_sigma_px=1.3)
+    assert found.kept.sum() == 25, set(found.molecules["reason"])
+    assert extract_traces(movie, camera, psf_sigma_px=1.3, best=7).kept.sum() == 7
+
+
+@pytest.mark.parametrize("time_block", [None, 60, 45, 7])
+def test_molecules_that_come_late_are_found_whatever_the_block(time_block):
+    light = np.full((25, 100), 400.0)
+    light[::2, :65] = 0.0
+    movie, camera, _ = _lights(light)
+    assert len(extract_traces(movie, camera, psf_sigma_px=1.3, time_block=time_block).molecules) == 25

@@ -251,3 +251,22 @@ def test_real_polymerases_are_followed_one_row_each():
                 double += bool(np.median(apart) < 2.0)
     print(f"{double} doubles")
     assert long.sum() - double >= 60 and double <= 3
+
+
+@pytest.mark.parametrize(("diffusion_px2", "step_px", "low"), [(0.2, 2.6, False), (1.0, 2.6, True), (1.0, 7.0, False)])
+def test_molecules_faster_than_they_are_followed_are_told(diffusion_px2, step_px, low):
+    """A step in the plane exceeds r in exp(−r²/4D) of the frames: 0.02, 18 and 0.0005 %."""
+    model = nm.preset("FF").with_values({"acquisition.shape_px": (120, 120), "excitation.power_density_w_per_cm2": 20})
+    places = np.stack(np.meshgrid(*[np.arange(20.0, 110, 30)] * 2), axis=-1).reshape(-1, 1, 2)
+    rng = np.random.default_rng(4)
+    paths = places + np.cumsum(rng.normal(0, np.sqrt(2 * diffusion_px2), (9, 40, 2)), axis=1)
+    movie = np.concatenate(
+        [
+            nm.simulate(model.with_values({"acquisition.n_frames": 1}), paths[:, t], seed=t).movie
+            for t in range(paths.shape[1])
+        ]
+    )
+    found = extract_traces(
+        movie, model.camera, psf_sigma_px=model.sigma_px, follow_molecules=True, max_step_px=step_px, min_snr=0.0
+    )  # fmt: skip
+    assert any("lower limit" in note for note in found.notes) == low

@@ -163,6 +163,7 @@ def traces(
     from napari_mufasa import files
     from napari_mufasa.files.outputs import PAIR, REGISTRATION, TRACES
     from napari_mufasa.model.model import Model
+    from napari_mufasa.provenance import provenance
     from napari_mufasa.report import figures
     from napari_mufasa.traces import extract_traces
     from napari_mufasa.traces.table import write_traces
@@ -196,8 +197,9 @@ def traces(
             **options,
             **work.all(),
         )
-    with console.filling(out, (*TRACES, *PAIR), believed, None, (movie, model, dark)) as folder:
-        write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
+    made = provenance(believed, None, (movie, model, dark))
+    with files.filling(out, (*TRACES, *PAIR)) as folder:
+        write_traces(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition, made=made)
         figures.write(folder, figures.molecule_drawings(recorded, found))
     console.tell_molecules(out, found)
 

@@ -20,16 +20,19 @@ from napari_mufasa.provenance import made_by
 def write_openfret(
     path: PathLike, channels: Mapping[str, NDArray[Any]], unit: str, about: Sequence[Mapping[str, Any]], *, title: str,
     exposure_s: float | None = None, excitation_nm: float | None = None, emission_nm: float | None = None,
+    holds: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
-    """Write traces (molecule, frame) of each channel ("donor", "acceptor"); `about` : what is known of each."""
+    """Write traces (molecule, frame) of each channel ("donor", "acceptor"); `about` : what is known of each; `holds` :
+    what the traces hold (see `files.traces.Holds`)."""
     shapes = {name: np.shape(traces) for name, traces in channels.items()}
     if not shapes or any(len(shape) != 2 or shape[0] != len(about) for shape in shapes.values()):
         raise MufasaError(f"channels have shapes {shapes} for {len(about)} molecules: give (molecule, frame) for each")
     known = {"exposure_time": exposure_s, "excitation_wavelength": excitation_nm, "emission_wavelength": emission_nm}
+    said = {"unit": unit, **(holds or {})}
     traces = [
         {
             "channels": [
-                {"channel_type": name, **known, "data": np.round(v[i].astype(float), 4), "metadata": {"unit": unit}}
+                {"channel_type": name, **known, "data": np.round(v[i].astype(float), 4), "metadata": said}
                 for name, v in channels.items()
             ],
             "metadata": dict(molecule),
@@ -41,25 +44,26 @@ def write_openfret(
     write_json(path, {**whole, "sample_details": {}, "instrument_details": {}})
 
 
-def read_openfret(path: PathLike, channel: str) -> tuple[NDArray[np.float64], str | None, NDArray[np.int64]]:
-    """Traces (molecule, frame) of a channel ("donor", "acceptor" or their "sum"), their unit where it is said, ids.
+def read_openfret(path: PathLike, channel: str) -> tuple[NDArray[np.float64], dict[str, Any], NDArray[np.int64]]:
+    """Traces (molecule, frame) of a channel ("donor", "acceptor" or their "sum"), what is said of it (the unit), ids.
 
     A file with one channel gives that one, whatever it is called.
     """
     data = read_json(path, "an OpenFRET file")
     if not isinstance(data, dict) or not isinstance(data.get("traces"), list) or not data["traces"]:
         raise MufasaError(f"cannot read traces from {path}: it holds none in the OpenFRET format; export them anew")
-    rows, ids, unit = [], [], None
+    rows, ids = [], []
+    about: dict[str, Any] = {}
     for number, trace in enumerate(data["traces"]):
         named = {str(each["channel_type"]).lower(): each for each in trace["channels"]}
         wanted = list(named) if len(named) == 1 else ["donor", "acceptor"] if channel == "sum" else [channel]
         if missing := [name for name in wanted if name not in named]:
             raise MufasaError(f"{path} has channels {', '.join(named)} in trace {number}: there is no {missing[0]!r}")
         rows.append(np.sum([np.asarray(named[name]["data"], dtype=np.float64) for name in wanted], axis=0))
-        unit = unit or (named[wanted[0]].get("metadata") or {}).get("unit")
+        about = about or named[wanted[0]].get("metadata") or {}
         ids.append((trace.get("metadata") or {}).get("molecule", number))
     if len({len(row) for row in rows}) != 1:
         lengths = sorted({len(row) for row in rows})
         raise MufasaError(f"{path}: traces have {lengths[0]} to {lengths[-1]} frames; all need the same number")
     numbers = all(isinstance(i, int) for i in ids)
-    return np.stack(rows), unit, np.array(ids if numbers else range(len(rows)), dtype=np.int64)
+    return np.stack(rows), about, np.array(ids if numbers else range(len(rows)), dtype=np.int64)

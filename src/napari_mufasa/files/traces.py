@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.movies import load
 from napari_mufasa.files.openfret import read_openfret, write_openfret
 from napari_mufasa.files.opening import complaints
-from napari_mufasa.files.whole import PathLike, replacing, write_bytes, write_table
+from napari_mufasa.files.whole import PathLike, read_json, replacing, write_bytes, write_table
 from napari_mufasa.provenance import made_by
 
 if TYPE_CHECKING:
@@ -28,12 +28,35 @@ Channel = Literal["donor", "acceptor", "sum"]
 UNITS: tuple[Unit, ...] = ("photoelectrons", "photons", "adu")
 
 
+Profile = Literal["psf", "sum", "brightest_pixel"]
+COMPANION, HOLDS = "traces.provenance.json", "holds"  # beside tables: where they come from, and what each of them holds
+
+
+class Holds(NamedTuple):
+    """What traces hold: of which pixels, with their background or without, and which share of a molecule's light."""
+
+    profile: Profile
+    background_subtracted: bool
+    pixel_share: float
+
+    @classmethod
+    def told(cls, said: Any) -> Holds | None:
+        """From plain data, or None where it is not told whole."""
+        if not isinstance(said, Mapping) or not set(cls._fields) <= set(said):
+            return None
+        profile, share = _text(said["profile"]), said["pixel_share"]
+        if profile not in get_args(Profile) or not (isinstance(share, (int, float, np.number)) and 0 < share <= 1):
+            return None
+        return cls(cast(Profile, profile), bool(said["background_subtracted"]), float(share))
+
+
 @dataclass(frozen=True)
 class TraceFile:
     """Traces read from a file; what `compare_traces`, `diagnose_traces` and `infer_photophysics` take as it is.
 
     traces : (molecule, frame) float64; unit : one of `UNITS`; molecules : (molecule,) ids as in the file
     positions_px : (molecule, 2) (y, x) where the file or a companion gives them, else None
+    holds : what the file or a companion says that the traces hold, else None
     """
 
     traces: NDArray[np.float64]
@@ -41,16 +64,26 @@ class TraceFile:
     molecules: NDArray[np.int64]
     path: Path
     positions_px: NDArray[np.float64] | None = None
+    holds: Holds | None = None
 
     @property
     def background_subtracted(self) -> bool:
-        """Whether the background was taken off: it is in counts of a TIFF, as recorded, only."""
+        """Whether the background was taken off: as the file says, else it is in counts of a TIFF, as recorded, only."""
+        if self.holds is not None:
+            return self.holds.background_subtracted
         return not (self.unit == "adu" and self.path.suffix.lower() in (".tif", ".tiff"))
 
     @property
-    def profile(self) -> Literal["psf", "brightest_pixel"]:
-        """What each trace holds: the whole spot, or, as recorded, one pixel."""
+    def profile(self) -> Profile:
+        """What each trace is read of: as the file says, else the whole spot, or, as recorded, one pixel."""
+        if self.holds is not None:
+            return self.holds.profile
         return "psf" if self.background_subtracted else "brightest_pixel"
+
+    @property
+    def pixel_share(self) -> float | None:
+        """Share of a molecule's light that a trace holds, where the file says it."""
+        return None if self.holds is None else self.holds.pixel_share
 
 
 def read_traces(path: PathLike) -> tuple[NDArray[np.float64], Unit]:
@@ -70,8 +103,10 @@ def read_trace_file(path: PathLike, *, unit: Unit | None = None, channel: Channe
 
     * ``.json``: OpenFRET; `channel` chooses where there are several; counts where it says no unit
 
-    `unit` says it where the file does not; of a CSV with several columns of values it chooses. Raises `MufasaError` in
-    one clear line, also where the file says another unit.
+    What the traces hold (profile, background, share of the light) is read from HDF5, from OpenFRET, and for a CSV from
+    the ``traces.provenance.json`` beside it, where they were written here. `unit` says it where the file does not; of a
+    CSV with several columns of values it chooses. Raises `MufasaError` in one clear line, also where the file says
+    another unit.
     """
     path = Path(path)
     if not path.is_file():
@@ -138,8 +173,10 @@ def write_trace_file(
 
 
 @contextlib.contextmanager
-def hdf5_file(path: PathLike, traces: NDArray[Any], unit: Unit, ids: NDArray[np.integer]) -> Iterator[Any]:
-    """A new HDF5 file with these traces, open for more; it appears when it is whole.
+def hdf5_file(
+    path: PathLike, traces: NDArray[Any], unit: Unit, ids: NDArray[np.integer], holds: Holds | None = None
+) -> Iterator[Any]:
+    """A new HDF5 file with these traces and what they hold, open for more; it appears when it is whole.
 
     Made in memory: on a full disk the library would take the process with it.
     """
@@ -148,6 +185,7 @@ def hdf5_file(path: PathLike, traces: NDArray[Any], unit: Unit, ids: NDArray[np.
         dataset = file.create_dataset("traces", data=traces, compression="gzip" if traces.size else None)
         dataset.attrs["unit"] = unit
         dataset.attrs["axes"] = "molecule, frame"
+        dataset.attrs.update({} if holds is None else holds._asdict())
         file.create_dataset("molecule", data=ids)
         file.attrs.update({name: text for name, text in made_by().items() if text})
         yield file
@@ -178,7 +216,15 @@ def _read_csv(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
             "each once"
         )
     values = table[unit].to_numpy(dtype=np.float64).reshape(len(lengths), -1)
-    return TraceFile(values, unit, lengths.index.to_numpy(dtype=np.int64), path)
+    return TraceFile(values, unit, lengths.index.to_numpy(dtype=np.int64), path, holds=_companion(path))
+
+
+def _companion(path: Path) -> Holds | None:
+    """What the file beside a table says that it holds; None where there is none, or it names another table."""
+    try:
+        return Holds.told(read_json(path.with_name(COMPANION))[HOLDS][path.name])
+    except (MufasaError, KeyError, TypeError):
+        return None
 
 
 def _read_tiff(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
@@ -209,11 +255,13 @@ def _read_hdf5(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
         if name is None or (name != "traces" and len(found) > 1):
             raise MufasaError(f"{path} has 2-D datasets {sorted(found)}: needs one, or one named 'traces'")
         values = np.asarray(found[name], dtype=np.float64)
-        said = found[name].attrs.get("unit")
+        said, holds = found[name].attrs.get("unit"), Holds.told(dict(found[name].attrs))
         ids = np.asarray(file["molecule"]) if "molecule" in file else np.arange(len(values))
     if ids.shape != (len(values),):
         raise MufasaError(f"{path} has {ids.size} molecule ids for {len(values)} traces: needs one for each")
-    return TraceFile(values, _unit(path, said, "photoelectrons", wanted), ids.astype(np.int64), path)
+    return TraceFile(
+        values, _unit(path, said, "photoelectrons", wanted), ids.astype(np.int64), path, holds=holds
+    )  # fmt: skip
 
 
 def _read_fret(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
@@ -249,13 +297,13 @@ def _read_peaks(path: Path, n_traces: int, channel: Channel) -> NDArray[np.float
 
 
 def _read_openfret(path: Path, channel: Channel, wanted: Unit | None) -> TraceFile:
-    values, said, ids = read_openfret(path, channel)
-    return TraceFile(values, _unit(path, said, "adu", wanted), ids, path)
+    values, about, ids = read_openfret(path, channel)
+    return TraceFile(values, _unit(path, about.get("unit"), "adu", wanted), ids, path, holds=Holds.told(about))
 
 
 def _unit(path: Path, said: Any, guess: Unit, wanted: Unit | None) -> Unit:
     """The unit that the file says, or else the one `wanted`, or a guess where nobody says one."""
-    text = (said.decode() if isinstance(said, bytes) else str(said or "")).strip()
+    text = _text(said)
     known = next((unit for unit in UNITS if unit == text.lower()), None)
     _no_other(path, known, wanted)
     if wanted is not None or not text:
@@ -263,6 +311,10 @@ def _unit(path: Path, said: Any, guess: Unit, wanted: Unit | None) -> Unit:
     if known is None:
         raise MufasaError(f"{path} is in {text!r}: give --unit (unit=), one of {', '.join(UNITS)}")
     return known
+
+
+def _text(said: Any) -> str:
+    return (said.decode() if isinstance(said, bytes) else str(said or "")).strip()
 
 
 def _no_other(path: Path, said: Unit | None, wanted: Unit | None) -> None:

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Cancel = Callable[[], bool] | None
 MIN_SPOTS_FOR_DRIFT = 5
 DRIFT_PX = 0.7  # motion over the movie from which on the user is told
+CUT_STEPS = 0.01  # of the steps of molecules that are followed, longer than the longest allowed, from which on D is low
 NEAR_SHARE = 0.1  # of its frames, in which another molecule may come nearer to one that moves
 
 
@@ -49,7 +50,8 @@ def standing(
     notes: tuple[str, ...] = ()
     if positions_px is None:
         seen = find.find_spots(
-            frames, sigma, threshold=options.threshold, value=options.threshold_value, block=options.time_block,
+            frames, sigma, threshold=options.threshold, value=options.threshold_value,
+            block=whole_blocks(frames.n_frames, options.time_block),
             drift_px=motion, report=report, cancel=cancel,
         )  # fmt: skip
         found, strength, outstanding = seen.positions_px, seen.significance, seen.prominence
@@ -109,10 +111,35 @@ def followed(
     }
     note = f"{paths.shorter} paths of fewer than {options.min_found} frames are left out"
     unknown, apart = np.full(len(whole), np.nan), _kept_apart(whole, first, last)
-    notes = (note,) if paths.shorter else ()
+    notes = ((note,) if paths.shorter else ()) + _cut_steps(moves.diffusion_px2, found.sum(axis=1), step)
     return Candidates(
         whole[each, first], paths.strength, unknown, apart, edge, measured, motion, whole, more, notes
     )  # fmt: skip
+
+
+def whole_blocks(n_frames: int, asked: int | None) -> int | None:
+    """Frames of a block, at most those `asked` for and more than half of them, so that fewest are left over at the
+    movie's end: nobody looks at these."""
+    if asked is None or asked >= n_frames:
+        return asked
+    return min(range(asked // 2 + 1, asked + 1), key=lambda block: (n_frames % block, -block))
+
+
+def _cut_steps(diffusion_px2: Array, n_found: NDArray[np.int64], step_px: float) -> tuple[str, ...]:
+    """A note where molecules of this D (molecule,) in px² per frame go farther than they are followed: a step in the
+    plane exceeds r in exp(−r²/4D) of the frames."""
+    known = np.isfinite(diffusion_px2)
+    if not known.any():
+        return ()
+    mean = float(np.average(diffusion_px2[known], weights=n_found[known]))
+    beyond = np.exp(-(step_px**2) / (4 * mean)) if mean > 0 else 0.0
+    if beyond <= CUT_STEPS:
+        return ()
+    return (
+        f"of molecules with D = {mean:.2g} px² per frame {100 * beyond:.2g} % of the steps or more are longer than the "
+        f"{step_px:.2g} px that they are followed: D is a lower limit; raise the longest step (max_step_px, "
+        "--max-step), or record faster",
+    )
 
 
 def edge_px(positions_px: Array, shape_px: tuple[int, ...]) -> Array:

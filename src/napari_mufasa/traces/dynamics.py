@@ -22,7 +22,8 @@ SUPPORTED = 5  # frames that a segment needs to say what the highest level is, w
 class Dynamics:
     """What a trace shows, one entry per trace; frames are indices, -1 where there is none.
 
-    on_level, noise, snr : photoelectrons; noise is the sd per frame about the steps; snr their ratio
+    on_level, noise, snr : photoelectrons; noise is the sd per frame about the steps; snr their ratio,
+        nan of one frame
     lit : (trace, frame) whether the idealised trace is on
     first, last : first and last lit frame
     bleaching_frame : first frame after which the trace stays dark until the end
@@ -68,7 +69,7 @@ def dynamics(traces: NDArray[np.floating], false_alarm_rate: float = 0.01) -> Dy
     return Dynamics(
         on_level=on_level,
         noise=noise,
-        snr=np.divide(on_level, noise, out=np.zeros(n), where=noise > 0),
+        snr=np.divide(on_level, noise, out=np.full(n, 0.0 if n_frames > 1 else np.nan), where=noise > 0),
         lit=lit,
         first=first,
         last=last,

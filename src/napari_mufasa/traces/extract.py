@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_mufasa.camera.frames import Frames, Progress, Unit
+from napari_mufasa.checks import counted
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.optics.gaussian import mean_disc_share, mean_peak_share
 from napari_mufasa.spots import aperture, drift, find
@@ -145,7 +146,19 @@ def extract_traces(
         options=options,
         drift_px=motion,
         path_px=seen.path_px,
-        notes=seen.notes,
+        notes=seen.notes + _saturation(measured.saturated, table, frames.n_frames),
+    )
+
+
+def _saturation(frames: NDArray[np.int64], table: pd.DataFrame, n_frames: int) -> tuple[str, ...]:
+    """A note on candidates (candidate,) that saturate the camera in some of the frames: those that are kept, and those
+    too wide, as a spot without its top is; a hot pixel is none."""
+    some = frames[(frames > 0) & (table["kept"] | (table["reason"] == "wider than the PSF")).to_numpy(dtype=bool)]
+    if not len(some):
+        return ()
+    return (
+        f"pixels of {counted(len(some), 'molecule')} are saturated, in {100 * some.mean() / n_frames:.3g} % of their "
+        "frames: there the light is read too low, and the spot looks wider; record with less light or gain",
     )
 
 

@@ -19,7 +19,7 @@ from napari_mufasa.traces.options import Options
 class Measured:
     """traces, background (candidate, frame) photoelectrons, per pixel the latter; weight (candidate,) pixels' worth of
     background that a trace holds where none is subtracted; shapes : of the lit images; noise_e, mean_e : of the movie,
-    per pixel and frame."""
+    per pixel and frame; saturated (candidate,) frames in which a pixel of its window is at the camera's end."""
 
     traces: NDArray[np.float32]
     background: NDArray[np.float32]
@@ -27,6 +27,7 @@ class Measured:
     shapes: Shapes
     noise_e: float
     mean_e: float
+    saturated: NDArray[np.int64]
 
 
 def measure(
@@ -34,7 +35,9 @@ def measure(
     motion: NDArray[np.float64] | None, report: Callable[[int], None], cancel: Callable[[], bool] | None,
 ) -> Measured:  # fmt: skip
     """The second pass: traces, local backgrounds, lit images, noise."""
-    return _measured(frames, _InPlace(positions, sigma, _Kind.of(options), motion), sigma, report, cancel)
+    return _measured(
+        frames, _InPlace(positions, sigma, _Kind.of(options), motion, frames._full()), sigma, report, cancel
+    )
 
 
 def measure_along(
@@ -47,7 +50,7 @@ def measure_along(
     def of(span: slice) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         return path_px[:, span], seen[:, span]
 
-    return _measured(frames, _Along(sigma, _Kind.of(options)), sigma, report, cancel, of)
+    return _measured(frames, _Along(sigma, _Kind.of(options), frames._full()), sigma, report, cancel, of)
 
 
 def _measured(
@@ -57,6 +60,7 @@ def _measured(
     traces, backgrounds, weights = [], [], []
     lit_images: LitImages | None = None
     means: list[float] = []
+    saturated: NDArray[np.int64] | int = 0
     squares, steps = np.zeros(frames.shape[1:]), 0
     # Two frames at least, however large they are: noise is told by how they differ.
     for _, block in frames.worked(reads, beside, multiple=2, report=report, cancel=cancel):
@@ -69,6 +73,7 @@ def _measured(
         else:
             lit_images.include(block.lit_images)
         means.append(block.mean)
+        saturated = saturated + block.saturated
         squares += block.squares
         steps += traces[-1].shape[1] - 1
     assert lit_images is not None  # a movie has frames
@@ -79,13 +84,14 @@ def _measured(
         lit_images.measure(sigma),
         float(np.sqrt(np.median(squares) / (2 * steps))) if steps else float("nan"),
         float(np.mean(means)),
+        np.asarray(saturated, dtype=np.int64),
     )
 
 
 @dataclass(frozen=True)
 class _Read:
     """What a block of frames shows: traces, background (candidate, frame), weight (candidate,); mean of its
-    pixels, and of each (y, x) the sum of squares of its steps from frame to frame."""
+    pixels, and of each (y, x) the sum of squares of its steps from frame to frame; saturated (candidate,) frames."""
 
     traces: NDArray[np.float32]
     background: NDArray[np.float32]
@@ -93,14 +99,30 @@ class _Read:
     lit_images: LitImages
     mean: float
     squares: NDArray[np.float32]
+    saturated: NDArray[np.int64]
 
     @classmethod
     def of(
         cls, stack: Stack, traces: NDArray[np.float32], background: NDArray[np.float32], weight: NDArray[np.float64],
-        lit_images: LitImages,
+        lit_images: LitImages, saturated: NDArray[np.int64],
     ) -> _Read:  # fmt: skip
         squares = np.square(np.diff(stack, axis=0)).sum(axis=0)
-        return cls(traces, background, weight, lit_images, float(stack.mean(dtype=np.float64)), squares)
+        return cls(traces, background, weight, lit_images, float(stack.mean(dtype=np.float64)), squares, saturated)
+
+
+def _saturated(
+    counts: NDArray[Any], full: float | None, window: NDArray[np.int64], inside: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """(candidate,) in how many frames of `counts` (frame, y, x) a pixel of the window is at the end of what the camera
+    can tell: `full`, where it is known."""
+    found = np.zeros(len(window), dtype=np.int64)
+    if full is None:
+        return found
+    for frame in counts:
+        at_end = frame >= full
+        if at_end.any():
+            found += (at_end.ravel()[window] & inside).any(axis=1)
+    return found
 
 
 @dataclass(frozen=True)
@@ -117,12 +139,14 @@ class _Kind:
 
 @dataclass(frozen=True)
 class _InPlace:
-    """Reads molecules at places that only the field moves, by `motion` (frame, 2)."""
+    """Reads molecules at places that only the field moves, by `motion` (frame, 2); `full` : the largest number that the
+    movie can hold, where it is known."""
 
     positions: NDArray[np.float64]
     sigma: float
     kind: _Kind
     motion: NDArray[np.float64] | None
+    full: float | None = None
     _apertures: dict[tuple[int, int], aperture.Aperture] = field(default_factory=dict)
 
     def __call__(self, frames: Frames, start: int, counts: NDArray[Any], _: Any) -> _Read:
@@ -131,15 +155,17 @@ class _InPlace:
         background = np.empty_like(traces)
         weight = np.zeros(len(self.positions))
         lit_images: LitImages | None = None
+        saturated, full = np.zeros(len(self.positions), dtype=np.int64), self.full
         for first, last in drift.still_parts(self.motion, start, start + len(stack)):
             opening = self._opening(frames.shape[1:], first, last)
             lit_images = lit_images or LitImages(opening.window.shape)
             span = slice(first - start, last - start)
             traces[:, span], background[:, span] = opening.traces(stack[span])
             weight += opening.weight * (last - first) / len(stack)
+            saturated += _saturated(counts[span], full, opening.window, opening.inside)
             lit_images.add(opening, stack[span], light_around(traces[:, span]), background[:, span])
         assert lit_images is not None  # a block has frames
-        return _Read.of(stack, traces, background, weight, lit_images)
+        return _Read.of(stack, traces, background, weight, lit_images, saturated)
 
     def _opening(self, shape: tuple[int, int], first: int, last: int) -> aperture.Aperture:
         """One for all frames where nothing moves."""
@@ -163,6 +189,7 @@ class _Along:
 
     sigma: float
     kind: _Kind
+    full: float | None = None
 
     def __call__(self, frames: Frames, start: int, counts: NDArray[Any], beside: Any) -> _Read:
         stack = frames.electrons(counts, start)
@@ -181,4 +208,7 @@ class _Along:
         for t, reading in enumerate(readings):
             lit_images.add(reading, stack[t : t + 1], near[:, t : t + 1], background[:, t : t + 1])
         weight = np.mean([reading.weight for reading in readings], axis=0)
-        return _Read.of(stack, traces, background, weight, lit_images)
+        saturated = np.zeros(len(path_px), dtype=np.int64)
+        for t, reading in enumerate(readings):
+            saturated += _saturated(counts[t : t + 1], self.full, reading.window, reading.inside) * seen[:, t]
+        return _Read.of(stack, traces, background, weight, lit_images, saturated)

@@ -21,7 +21,8 @@ class Options(select.Choice):
 
     psf_sigma_px : PSF standard deviation in px; None measures it on the brightest spots
     threshold, threshold_value : "sigma" (k noise sd, 6), "percentile" (98), "otsu", "triangle"
-    time_block : frames of the shortest time scale detection looks at; None: at most 200 blocks
+    time_block : frames of the shortest time scale detection looks at, or fewer, so that hardly any are left over at the
+        end; None: at most 200 blocks
     profile : "psf" (photoelectrons of the whole spot), "sum" (disc of 2.5 σ), "brightest_pixel"
     subtract_background : subtract the local background ring frame by frame
     position : "fit" (moments of the lit image) or "brightest_pixel" (its centre)

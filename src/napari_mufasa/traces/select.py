@@ -20,7 +20,8 @@ class Choice:
     """Which molecules are wanted. Levels in photoelectrons, None switches a rule off.
 
     min_snr : on level over noise per frame; min_brightness_e : smallest on level
-    min_lit_frames, max_lit_share : never on; always on (1 keeps molecules that never go dark)
+    min_lit_frames, max_lit_share : never on (of a shorter movie all frames); always on (1 keeps molecules that never
+        go dark)
     min_steps, max_steps : bleaching steps; width : narrowest axis allowed relative to the PSF, and widest
         relative to the usual spot of this movie
     window : frames just before bleaching that must be lit; best : how many of the best to keep
@@ -96,7 +97,7 @@ def judge(
     near = column("neighbour_px")
     reject(near < rules.isolation_px, [f"neighbour at {d:.1f} px" for d in near])
     lit = column("lit_frames")
-    reject(lit < rules.min_lit_frames, "never on")
+    reject(lit < min(rules.min_lit_frames, shape[0]), "never on")
     snr = column("snr")
     reject(snr < rules.min_snr, [f"SNR {s:.2f} below {rules.min_snr:g}" for s in snr])
     if rules.min_brightness_e is not None:
@@ -116,7 +117,7 @@ def judge(
     if rules.window is not None:
         reject(column("window_start") < 0, f"no {rules.window} active frames before bleaching")
     if rules.best is not None:
-        order = np.argsort(-np.where(reason == "", snr, -np.inf), kind="stable")
+        order = np.argsort(-np.where(reason == "", np.nan_to_num(snr), -np.inf), kind="stable")
         worse = np.ones(len(table), dtype=bool)
         worse[order[: rules.best]] = False
         reject(worse, f"not among the {rules.best} best")
