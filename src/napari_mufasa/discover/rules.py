@@ -30,6 +30,7 @@ NEARLY_ALL = 0.9  # of the simulations of a model: an observable that fewer of t
 OFF = 3.0  # an observable farther off than so many standard deviations is failing
 PLAIN = 15.0  # −2 log likelihood by which another form must be better than the plain one (noise of judging: about 5)
 NEAR = 6.0  # −2 log likelihood within which two effects cannot be told apart
+BEGUN = 20.0  # −2 log likelihood that what is begun, and not fitted yet, may fall behind: known rivals are fitted then
 UNCOMMON = 12.0  # −2 log likelihood: so much less likely is an effect that few movies have, beside a common one
 BESIDE = 0.4  # of the best lead's evidence: what promises less and moves the same waits until that one is in the model
 FORM_FIRST = 0.3  # of the misfit left: leads that promise less wait until forms of what is in the model have been

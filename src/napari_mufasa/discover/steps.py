@@ -11,6 +11,7 @@ import numpy as np
 from napari_mufasa.discover import camera, joint, library
 from napari_mufasa.discover.coordinates import changed, is_at_an_end
 from napari_mufasa.discover.rules import (
+    BEGUN,
     CLEAR,
     DOUBTFUL,
     FAR,
@@ -401,27 +402,32 @@ class Steps(Standing):
         margin = more if more < 0 else 0.0 if stand.content else 2 * NEAR
         if not tries:
             return False
-        # The few simulations around a start are wide: what is begun looks less likely than it is.
-        commoner = self._uncommon(tries[0]) < self._uncommon(stand.state)
-        is_near = commoner and tries[0].misfit(stand.x) < stand.misfit + more
-        if not is_near and self._unlikely(tries[0]) > unlikely + margin:
-            return False
         begun_here = _kinds(tries[0])
         instead = [] if kind in begun_here else [k for k in begun_here if k not in _kinds(stand.state)]
+        # The few simulations around a start are wide: what is begun looks less likely than it is.
+        behind = tries[0].misfit(stand.x) - stand.misfit
+        commoner = self._uncommon(tries[0]) < self._uncommon(stand.state)
+        alike = any(are_rivals(kind, rival) for rival in instead)
+        is_near = (commoner and behind < more) or (alike and behind < more + BEGUN)
+        if not is_near and self._unlikely(tries[0]) > unlikely + margin:
+            return False
         if not self._settle(tries[0], below=stand.misfit + more):
             self._note_rivals(kind, dict.fromkeys(instead, more))  # it is that far behind at least
             return False
         other = self.stands.pop()
-        behind = other.misfit - stand.misfit
         if self._unlikely(other.state) > unlikely - NEAR or other.error > NOT_RISEN * stand.error:
             if tries[0] is stand.library.formed.get(kind):
                 stand.library.formed[kind] = None
-            self._note_rivals(kind, dict.fromkeys(instead, behind))
+            self._note_rivals(kind, dict.fromkeys(instead, self._behind(other, stand)))
             return False
         self.stands[-1] = other
         for rival in instead:
-            self._note_rivals(rival, {kind: -behind})
+            self._note_rivals(rival, {kind: self._behind(stand, other)})
         return True
+
+    def _behind(self, one: Stand, other: Stand) -> float:
+        """How far one stand is behind another, by misfit or by likelihood, whichever says less."""
+        return min(one.misfit - other.misfit, self._unlikely(one.state) - self._unlikely(other.state))
 
 
 def _worth_beside(stand: Stand, lesser: Stand, needed: float) -> Worth:
