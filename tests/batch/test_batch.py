@@ -29,6 +29,7 @@ from napari_mufasa.batch.table import (
 from napari_mufasa.cli import main
 from napari_mufasa.effects import effect_class
 from napari_mufasa.errors import MufasaError
+from napari_mufasa.report.batch import nothing_told
 
 
 def small():
@@ -266,6 +267,13 @@ def test_conditions_that_are_the_same_are_rarely_told_apart(n):
     rng = np.random.default_rng(3)
     alarms = [difference_table(results_of(rng, n=n))["differs"].any() for _ in range(400)]
     assert sum(alarms) <= 33  # 5 % of 400 are 20 ± 4.4; three sd above
+
+
+def test_three_movies_a_condition_are_said_to_be_too_few():
+    rng = np.random.default_rng(3)
+    few, more = (difference_table(results_of(rng, n=n)) for n in (3, 8))
+    assert not few["differs"].any() and nothing_told(few) == "Too few movies to tell the conditions apart"
+    assert nothing_told(more) == "Nothing tells the conditions apart beyond chance"
 
 
 @pytest.mark.parametrize("sizes", [(3, 3), (4, 4), (5, 5), (3, 8), (3, 3, 3), (10, 10)])

@@ -9,8 +9,8 @@ import zarr
 
 import napari_mufasa as nm
 from napari_mufasa import camera as cam
+from napari_mufasa.camera import read_variance
 from napari_mufasa.denoise import pure_let_movie, reel, temporal
-from napari_mufasa.denoise.pipeline import read_variance
 from napari_mufasa.denoise.viewing import taken_away
 from napari_mufasa.errors import Cancelled, MufasaError
 from napari_mufasa.model.setup import Camera

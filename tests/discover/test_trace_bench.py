@@ -169,6 +169,8 @@ def test_candidates_are_what_a_lone_trace_can_show():
 
 
 def test_bad_input_is_told(believed):
+    with pytest.raises(nm.MufasaError, match="all traces are 5 throughout: give measured ones"):
+        nm.diagnose_traces(np.full((40, 60), 5.0), nm.preset("FF"))
     with pytest.raises(nm.MufasaError, match="needs at least 32 traces"):
         diagnose_traces(np.ones((10, 80)), believed)
     with pytest.raises(nm.MufasaError, match="no effect 'photobleeching': did you mean photobleaching"):

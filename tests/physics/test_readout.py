@@ -79,7 +79,7 @@ def test_codes_come_as_often_as_they_are_wide():
 def test_codes_that_are_wide_for_long_are_undone():
     """Sixteen wide codes, then sixteen narrow ones: they lie up to 3 ADU off their places.
     Means within 4.5 standard errors (7e-6 each), and the variance that the denoiser takes within 5 (6e-7 each)."""
-    from napari_mufasa.denoise.pipeline import read_variance
+    from napari_mufasa.camera import read_variance
 
     camera = make("CCD", read_noise_e=3.0, electrons_per_adu=1.0, code_widths=(1.4,) * 16 + (0.6,) * 16)
     for photons in (1.0, 10.0, 30.0):

@@ -167,16 +167,19 @@ def test_traces_saved_before_are_replaced_only_when_the_user_says_so(
     panel, user = open_panel(MoleculesPanel, with_movie), Answers(monkeypatch, tmp_path)
     run(panel)
     panel.save_button.click()
-    assert not user.asked and sorted(file.name for file in tmp_path.iterdir()) == ["molecules.csv", "traces.csv"]
+    assert not user.asked and sorted(file.name for file in tmp_path.iterdir()) == [
+        "molecules.csv", "traces.csv", "traces.provenance.json"
+    ]  # fmt: skip
     (tmp_path / "traces.csv").unlink()
     (tmp_path / "molecules.csv").write_text("of a day's work")
     panel.save_button.click()
-    assert user.asked == [f"{tmp_path} already holds molecules.csv. Replace?"]
+    assert user.asked == [f"{tmp_path} already holds molecules.csv, traces.provenance.json. Replace?"]
     assert (tmp_path / "molecules.csv").read_text() == "of a day's work" and not (tmp_path / "traces.csv").exists()
     user.replace = True
     panel.save_button.click()
+    written = "traces.csv, molecules.csv and traces.provenance.json"
     assert len(pd.read_csv(tmp_path / "molecules.csv")) == len(panel.traces.molecules)
-    assert panel.run_bar.message.text() == f"Written: traces.csv and molecules.csv in {tmp_path}"
+    assert panel.run_bar.message.text() == f"Written: {written} in {tmp_path}"
 
 
 def test_a_folder_that_cannot_be_written_to_is_told_in_one_line(with_movie, open_panel, run, tmp_path, monkeypatch):

@@ -195,6 +195,33 @@ def read_noise_map_e(camera: Camera) -> Any:
     return np.float32(camera.read_noise_e)
 
 
+def read_variance(electrons: NDArray[np.floating], camera: Camera) -> Stack:
+    """Variance of one frame (y, x) by read noise and by rounding to counts (a²/12 of a converter of a electrons per
+    count, more of uneven codes), in photoelectrons squared.
+
+    EMCCD: the register's gain divides it. CMOS: so does the slope of the response, taken at the local mean of 5 x 5
+    pixels, because the pixel's own noise would choose its own slope.
+    """
+    rounding_e2 = np.float32(camera.electrons_per_adu**2 * readout.rounding_variance_adu2(camera))
+    variance_e2 = np.square(read_noise_map_e(camera))
+    if camera.readout_kernel:
+        variance_e2 = variance_e2 * np.float32(readout.undone_noise_power(camera))
+        rounding_e2 *= np.float32(readout.undone_rounding_power(camera))
+    variance_e2 = variance_e2 + rounding_e2
+    slope: Any = np.float32(1.0)
+    if camera.type == "EMCCD":
+        slope = np.float32(camera.em_gain or 1.0)
+    if camera.type == "CMOS":
+        from scipy.ndimage import uniform_filter
+
+        local = uniform_filter(electrons, size=[1] * (electrons.ndim - 2) + [5, 5], mode="reflect")
+        width = np.float32(0.5) + np.float32(0.01) * np.abs(local)
+        slope = (cmos_response(local + width, camera) - cmos_response(local - width, camera)) / (2 * width)
+    elif camera.gain_map is not None:
+        slope = slope * camera.gain_map.astype(np.float32)
+    return np.broadcast_to(np.asarray(variance_e2 / np.square(slope), np.float32), electrons.shape)
+
+
 def baseline_map_adu(camera: Camera) -> Any:
     """Baseline in ADU: a scalar, or a (y, x) map."""
     if camera.offset_map_adu is not None:

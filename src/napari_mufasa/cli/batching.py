@@ -53,7 +53,7 @@ def batch(
     """Do the same to many movies and tell them apart; what is finished is kept when it is run again."""
     from napari_mufasa.batch import Settings, read_entries, run
     from napari_mufasa.batch.table import difference_table, write_tables
-    from napari_mufasa.report.batch import difference_line
+    from napari_mufasa.report.batch import difference_line, nothing_told
 
     steps = tuple(dict.fromkeys(step.strip() for step in do.split(",") if step.strip()))
     if not steps:
@@ -74,8 +74,11 @@ def batch(
             typer.echo(f"[{len(results)}/{len(entries)}] {_line(result, steps)}")
     write_tables(out, results, f"{source.name}: {len(results)} movies")
     apart = difference_table(results)
-    for _, row in apart[apart["differs"]].iterrows():
+    differing = apart[apart["differs"]] if len(apart) else apart
+    for _, row in differing.iterrows():
         typer.echo(f"conditions differ in {difference_line(row)}")
+    if len(apart) and not len(differing):
+        typer.echo(nothing_told(apart))
     failed = [result for result in results if result.error]
     typer.echo(f"see {out / 'summary.html'}")
     if failed:

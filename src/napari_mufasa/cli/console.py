@@ -298,7 +298,7 @@ def tell_molecules(out: Path, found: TraceSet) -> None:
     if found.path_px is not None:
         typer.echo(moving_line(found))
     for note in found.notes:
-        typer.echo(f"note: {note}" + (" (--follow-drift)" if found.path_px is None else ""))
+        typer.echo(f"note: {note}" + (" (--follow-drift)" if note.endswith("follow the drift") else ""))
 
 
 def note(text: str) -> None:

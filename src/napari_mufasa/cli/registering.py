@@ -82,6 +82,7 @@ def pair_traces(
     from napari_mufasa.channels.table import write_pair
     from napari_mufasa.files.outputs import PAIR, TRACES
     from napari_mufasa.model.model import Model
+    from napari_mufasa.provenance import provenance
     from napari_mufasa.report import figures
     from napari_mufasa.report.lines import efficiency_line
 
@@ -100,8 +101,9 @@ def pair_traces(
             **given,
             **work.both(),
         )
-    with console.filling(out, (*TRACES, *PAIR), believed, None, (movie, model, dark, channels)) as folder:
-        write_pair(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition)
+    made = provenance(believed, None, (movie, model, dark, channels))
+    with files.filling(out, (*TRACES, *PAIR)) as folder:
+        write_pair(folder, found, hdf5=hdf5, openfret=openfret, acquisition=believed.acquisition, made=made)
         figures.write(folder, figures.pair_drawings(read.data, found))
     console.tell_molecules(out, found.donor)
     typer.echo(efficiency_line(found))

@@ -20,7 +20,6 @@ from napari_mufasa.compare.baselines import (
     tool_defaults,
     two_state_of,
 )
-from napari_mufasa.denoise.pipeline import read_variance
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 from napari_mufasa.optics.gaussian import pixel_shares
@@ -168,7 +167,7 @@ class FarApart:
         camera = acquisition.model.camera
         level_e = camera.quantum_efficiency * background + camera.clock_induced_charge_e
         variance = detector.multiplication_noise(camera) * level_e
-        variance += read_variance(level_e.mean(keepdims=True), camera)
+        variance += detector.read_variance(level_e.mean(keepdims=True), camera)
         if not self.options.subtract_background:
             signal = signal + level_e * weighing.weight[:, None]
         noise = acquisition.scene.streams.of("noise of the weights").standard_normal(signal.shape)

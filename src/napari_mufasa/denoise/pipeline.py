@@ -15,7 +15,6 @@ import numpy as np
 
 from napari_mufasa import camera as cam
 from napari_mufasa import checks
-from napari_mufasa.camera import readout
 from napari_mufasa.cluster import in_order
 from napari_mufasa.errors import Cancelled, MufasaError
 
@@ -226,7 +225,7 @@ class _Frames:
         """Noise of one frame of photoelectrons, or a tile of it; the read noise is seen through the gain's slope."""
         from .noise import Noise
 
-        variance = read_variance(electrons, self.camera.of_part(*tile) if tile else self.camera)
+        variance = cam.read_variance(electrons, self.camera.of_part(*tile) if tile else self.camera)
         return Noise(self.alpha * self.share, variance * np.float32(self.share), self.multiplied)
 
     def learn(self, cancel: Callable[[], bool] | None) -> None:
@@ -377,33 +376,6 @@ class _Frames:
             for done in work:
                 done.result()
             yield from pieces
-
-
-def read_variance(electrons: Array, camera: Camera) -> NDArray[np.float32]:
-    """Variance of one frame (y, x) by read noise and by rounding to counts (a²/12 of a converter of a electrons per
-    count, more of uneven codes), in photoelectrons squared.
-
-    EMCCD: the register's gain divides it. CMOS: so does the slope of the response, taken at the local mean of 5 x 5
-    pixels, because the pixel's own noise would choose its own slope.
-    """
-    rounding_e2 = np.float32(camera.electrons_per_adu**2 * readout.rounding_variance_adu2(camera))
-    variance_e2 = np.square(cam.read_noise_map_e(camera))
-    if camera.readout_kernel:
-        variance_e2 = variance_e2 * np.float32(readout.undone_noise_power(camera))
-        rounding_e2 *= np.float32(readout.undone_rounding_power(camera))
-    variance_e2 = variance_e2 + rounding_e2
-    slope: Any = np.float32(1.0)
-    if camera.type == "EMCCD":
-        slope = np.float32(camera.em_gain or 1.0)
-    if camera.type == "CMOS":
-        from scipy.ndimage import uniform_filter
-
-        local = uniform_filter(electrons, size=[1] * (electrons.ndim - 2) + [5, 5], mode="reflect")
-        width = np.float32(0.5) + np.float32(0.01) * np.abs(local)
-        slope = (cam.cmos_response(local + width, camera) - cam.cmos_response(local - width, camera)) / (2 * width)
-    elif camera.gain_map is not None:
-        slope = slope * camera.gain_map.astype(np.float32)
-    return np.broadcast_to(np.asarray(variance_e2 / np.square(slope), np.float32), electrons.shape)
 
 
 def _check(counts: Array, camera: Camera, start: int) -> None:

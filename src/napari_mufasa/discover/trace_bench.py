@@ -111,6 +111,8 @@ class TraceBench(Bench[TraceNumbers]):
         if unit == "adu" and not background_subtracted:  # a photoelectron is worth what the noise of the traces says
             model, gain = fit_gain(np.asarray(traces), model)
             electrons = electrons / gain
+        if not electrons.std() > 0:
+            raise MufasaError(f"all traces are {electrons.flat[0]:g} throughout: give measured ones")
         electrons, notes = _affordable(electrons)
         n, n_frames = electrons.shape
         timing = model.acquisition.model_copy(update={"n_frames": n_frames})

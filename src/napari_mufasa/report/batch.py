@@ -45,12 +45,20 @@ def render(
     return pages.get_template("batch.html.j2").render(
         title=title, head=[words for _, words in shown], rows=rows,
         lines=[difference_line(row) for _, row in differs.iterrows()],
+        nothing_told=nothing_told(apart),
         several=movies["condition"].nunique() > 1 if "condition" in movies else False,
         apart_head=list(apart.columns), apart=[[_cell("", v) for v in row] for row in apart.to_numpy(dtype=object)],
         conditions_head=list(conditions.columns),
         conditions=[[_cell("", v) for v in row] for row in conditions.to_numpy(dtype=object)],
         made=f"Made by napari-mufasa {version()}: {made_by()['command'] or 'from Python'}.",
     )  # fmt: skip
+
+
+def nothing_told(apart: pd.DataFrame) -> str:
+    """What is said of conditions of which no row of the table of differences differs."""
+    if len(apart) and apart["p_adjusted"].isna().all():
+        return "Too few movies to tell the conditions apart"
+    return "Nothing tells the conditions apart beyond chance"
 
 
 def difference_line(row: Any) -> str:

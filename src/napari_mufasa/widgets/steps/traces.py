@@ -13,6 +13,7 @@ from pydantic import PositiveInt
 from napari_mufasa.checks import counted
 from napari_mufasa.errors import MufasaError
 from napari_mufasa.files.layers import Measurement, measurement_of, stored
+from napari_mufasa.files.traces import COMPANION
 from napari_mufasa.report.lines import efficiency_line, molecule_line, moving_line
 from napari_mufasa.report.offscreen import drawing
 from napari_mufasa.report.words import listed
@@ -266,9 +267,9 @@ class MoleculesPanel(Panel):
     def files(self) -> tuple[str, ...]:
         """What `save` writes."""
         if stored(self.points, "pair") is not None:
-            return "traces.csv", "donor.csv", "acceptor.csv", "molecules.csv", "channels.json"
+            return "traces.csv", "donor.csv", "acceptor.csv", "molecules.csv", "channels.json", COMPANION
         followed = self.traces is not None and self.traces.path_px is not None
-        return ("traces.csv", "molecules.csv", "paths.csv") if followed else ("traces.csv", "molecules.csv")
+        return "traces.csv", "molecules.csv", *(("paths.csv",) if followed else ()), COMPANION
 
     def save(self, folder: str) -> str:
         """Write the kept traces and the table of candidates (docs/files.md)."""
