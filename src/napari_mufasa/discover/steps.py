@@ -405,10 +405,10 @@ class Steps(Standing):
         begun_here = _kinds(tries[0])
         instead = [] if kind in begun_here else [k for k in begun_here if k not in _kinds(stand.state)]
         # The few simulations around a start are wide: what is begun looks less likely than it is.
-        behind = tries[0].misfit(stand.x) - stand.misfit
+        begun_behind = tries[0].misfit(stand.x) - stand.misfit
         commoner = self._uncommon(tries[0]) < self._uncommon(stand.state)
         alike = any(are_rivals(kind, rival) for rival in instead)
-        is_near = (commoner and behind < more) or (alike and behind < more + BEGUN)
+        is_near = begun_behind < more + BEGUN if alike else commoner and begun_behind < more
         if not is_near and self._unlikely(tries[0]) > unlikely + margin:
             return False
         if not self._settle(tries[0], below=stand.misfit + more):
@@ -418,16 +418,18 @@ class Steps(Standing):
         if self._unlikely(other.state) > unlikely - NEAR or other.error > NOT_RISEN * stand.error:
             if tries[0] is stand.library.formed.get(kind):
                 stand.library.formed[kind] = None
-            self._note_rivals(kind, dict.fromkeys(instead, self._behind(other, stand)))
+            self._note_rivals(kind, dict.fromkeys(instead, _behind(other, stand)))
             return False
         self.stands[-1] = other
         for rival in instead:
-            self._note_rivals(rival, {kind: self._behind(stand, other)})
+            self._note_rivals(rival, {kind: _behind(stand, other)})
         return True
 
-    def _behind(self, one: Stand, other: Stand) -> float:
-        """How far one stand is behind another, by misfit or by likelihood, whichever says less."""
-        return min(one.misfit - other.misfit, self._unlikely(one.state) - self._unlikely(other.state))
+
+def _behind(one: Stand, other: Stand) -> float:
+    """How far one stand is behind another, by misfit or by likelihood, whichever says less."""
+    x = one.x
+    return min(one.misfit - other.misfit, one.state.surprise(x) - other.state.surprise(x))
 
 
 def _worth_beside(stand: Stand, lesser: Stand, needed: float) -> Worth:
