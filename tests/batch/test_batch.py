@@ -143,6 +143,7 @@ def test_a_step_that_is_done_anew_leaves_nothing_of_the_old(folder):
     (second,) = run([entry], folder / "out", Settings(steps=("traces",)), overwrite=True)
     assert not second.error and second.kept == ()
     made = ["done.json", "molecules.csv", "molecules.png", "notes.txt", "traces.csv", "traces.png"]
+    made.append("traces.provenance.json")
     assert sorted(path.name for path in place.iterdir()) == made
 
 
