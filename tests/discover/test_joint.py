@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import napari_mufasa as nm
-from napari_mufasa.discover import joint, rules, steps
+from napari_mufasa.discover import exchange, joint, rules, steps
 from napari_mufasa.discover.coordinates import Coordinate
 from napari_mufasa.discover.library import build
 from napari_mufasa.discover.nuisance import nuisances
@@ -357,8 +357,8 @@ def test_one_effect_in_another_form_takes_the_place_of_two_rivals_or_of_one_and_
     in their place leaves more error than it may."""
     monkeypatch.setattr(HOT, "rivals", rivals)
     monkeypatch.setattr(ROWS, "rivals", ())
-    monkeypatch.setattr(steps, "NOT_RISEN", most)
-    monkeypatch.setattr(steps, "DOUBTFUL", doubtful)  # of any effect, or of none
+    monkeypatch.setattr(exchange, "NOT_RISEN", most)
+    monkeypatch.setattr(exchange, "DOUBTFUL", doubtful)  # of any effect, or of none
     bench = FormBench()
     hidden = [HOT(fraction=5e-3, electrons=33.0, form="steady")] + [ROWS(rms_adu=rows_adu)] * (rows_adu > 0)
     stand = stand_of(bench, bench.start.with_effects(*hidden))
@@ -395,7 +395,7 @@ def test_what_is_known_to_look_like_two_takes_their_place_where_it_explains_as_m
     monkeypatch.setattr(columns, "rivals", rivals)
     for effect in (HOT, ROWS):
         monkeypatch.setattr(effect, "rivals", ())
-    monkeypatch.setattr(steps, "FORM_WORTH", 1.0)
+    monkeypatch.setattr(exchange, "FORM_WORTH", 1.0)
     bench = SumBench()
     hidden = [columns(rms_adu=1.0)] + [ROWS(rms_adu=rows_adu)] * (rows_adu > 0)
     stand = stand_of(bench, bench.start.with_effects(*hidden))

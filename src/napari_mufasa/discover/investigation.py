@@ -13,6 +13,7 @@ from napari_mufasa import checks
 from napari_mufasa.chance.streams import Streams
 from napari_mufasa.discover import joint
 from napari_mufasa.discover.coordinates import changed
+from napari_mufasa.discover.exchange import each_form
 from napari_mufasa.discover.measurement import prepare
 from napari_mufasa.discover.movie_bench import MovieBench
 from napari_mufasa.discover.reporting import compile_report
@@ -21,7 +22,7 @@ from napari_mufasa.discover.rules import FINALISTS, NEAR, REMOVALS, START
 from napari_mufasa.discover.stand import share_of
 from napari_mufasa.discover.start import begun, started
 from napari_mufasa.discover.state import Lead, State
-from napari_mufasa.discover.steps import Steps, each_form
+from napari_mufasa.discover.steps import Steps
 from napari_mufasa.discover.trace_bench import TraceBench, candidate_kinds
 from napari_mufasa.effects import Effect, catalogue, effect_class
 from napari_mufasa.errors import MufasaError

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
-from napari_mufasa.discover import camera, library
+import numpy as np
+
+from napari_mufasa.discover import camera, joint, library
 from napari_mufasa.discover.bench import Bench
 from napari_mufasa.discover.null import Null
 from napari_mufasa.discover.result import Candidate
 from napari_mufasa.discover.rules import BUDGET, BUDGET_VALUES, CAMERA_OFF, CAMERA_ROUNDS, NEAR, START, TELLING
 from napari_mufasa.discover.stand import Stand
 from napari_mufasa.discover.state import State
+from napari_mufasa.errors import MufasaError
 from napari_mufasa.model.model import Model
 
 
@@ -141,3 +145,35 @@ class Standing:
                 )
             )
         return found
+
+    def undo(self) -> None:
+        """Take the last step back."""
+        if len(self.stands) < 2:
+            raise MufasaError("nothing to undo: no effect was added")
+        self.stands.pop()
+
+    def _settle(self, state: State, on_trial: Sequence[str] = (), below: float = np.inf) -> bool:
+        """All free values fitted together, and the neighbourhood simulated anew: a further stand, if the misfit there
+        is `below` what it should be."""
+        last = self.stand
+        near = joint.settled(last.library, state, last.x, self.kinds, self.left, on_trial, below)
+        if near is not None:
+            self._stand_at(near)
+        return near is not None
+
+    def _stand_at(self, near: library.Library) -> None:
+        self.stands.append(self._seen_in(near))
+
+    def _seen_in(self, near: library.Library) -> Stand:
+        """The stand whose neighbourhood that is."""
+        last = self.stand
+        added = tuple(effect.kind for effect in near.base.model.effects if effect.kind in self.kinds)
+        order = [k for k in last.added if k in added] + [k for k in added if k not in last.added]
+        return Stand(near, tuple(order), last.x, last.null, self.first.state)
+
+    def _settling(self, n_effects: int) -> int:
+        state = self.state
+        return min(
+            joint.settling_simulations(self.stand.library, self.kinds, len(state.free) + 2 * n_effects, state.model),
+            max(self.left, 1),
+        )
